@@ -1,0 +1,35 @@
+"""The package's exceptions: one family, so that one ``except`` clause catches all.
+
+Each message says what was wrong, where, and what to do about it.  Bad input is
+also a :class:`ValueError`, as scikit-learn and numpy users expect.
+"""
+
+from __future__ import annotations
+
+
+class PCNDEError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class InputError(PCNDEError, ValueError):
+    """An argument, a configuration or an array is not usable."""
+
+
+class FileError(PCNDEError, ValueError):
+    """A file is missing, truncated, foreign, or of a newer format."""
+
+
+class DataNotFoundError(FileError, FileNotFoundError):
+    """A data set was not found on this machine, or could not be downloaded."""
+
+
+class EngineError(PCNDEError, RuntimeError):
+    """A computing engine failed; the message holds the engine's own words."""
+
+
+class EngineUnavailableError(EngineError):
+    """An engine cannot be used on this machine; the message says what is missing."""
+
+
+class SolveError(EngineError):
+    """A differential equation could not be integrated to the end."""
