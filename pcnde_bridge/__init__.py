@@ -1,0 +1,1 @@
+"""PCNDE (being built)."""

@@ -1,0 +1,396 @@
+"""Every number of the method in one place: immutable, validated, serialisable.
+
+The default, :data:`PAPER`, follows the text of Csala, Mohan, Livescu and Arzani
+(2024).  Where the published code does something else, the difference is a named
+option of the stage it belongs to, and :data:`PUBLISHED_CODE` sets them all.
+
+Units are CGS: cm, s, mL/s, dyn/cm², g/cm³, poise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
+
+from pcnde_bridge.errors import InputError
+
+Activation = Literal["tanh", "gelu", "relu", "sigmoid", "swish"]
+Loss = Literal["mean", "sum"]
+
+_Config = TypeVar("_Config", bound="_Section")
+
+
+class _Section:
+    """Validation and (de)serialisation shared by every group of settings."""
+
+    def __post_init__(self) -> None:
+        hints = typing.get_type_hints(type(self))
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            checked = _checked(value, hints[f.name], f"{type(self).__name__}.{f.name}")
+            object.__setattr__(self, f.name, checked)
+            if not f.metadata.get("signed", False) and _smallest(checked) < 0:
+                raise InputError(f"{type(self).__name__}.{f.name} is negative: {value!r}.")
+            if f.metadata.get("positive", False) and _smallest(checked) <= 0:
+                raise InputError(f"{type(self).__name__}.{f.name} must be positive: {value!r}.")
+
+    def replace(self: _Config, **changes: Any) -> _Config:
+        """Copy with some settings changed; groups may be given as mappings.
+
+        Parameters
+        ----------
+        **changes
+            New values.  A group of settings can be given as a mapping of the
+            settings to change in it: ``config.replace(flow={"epochs": 10})``.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not usable.
+        """
+        names = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
+        for name, value in changes.items():
+            if name not in names:
+                raise InputError(
+                    f"{type(self).__name__} has no setting {name!r}; it has {sorted(names)}."
+                )
+            old = getattr(self, name)
+            if isinstance(old, _Section) and isinstance(value, Mapping):
+                changes[name] = old.replace(**value)
+        return typing.cast(_Config, dataclasses.replace(self, **changes))  # type: ignore[type-var]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Settings as nested plain dictionaries, ready for JSON."""
+        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+
+
+def _smallest(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | tuple):
+        return math.inf
+    return min(value, default=math.inf) if isinstance(value, tuple) else value
+
+
+def _checked(value: Any, hint: Any, where: str) -> Any:
+    """Return ``value`` as the annotated type, or say why it cannot be that."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        if value not in arguments:
+            raise InputError(f"{where} must be one of {list(arguments)}, got {value!r}.")
+        return value
+    if origin in (types.UnionType, typing.Union):
+        if value is None:
+            return None
+        (hint,) = (a for a in arguments if a is not type(None))
+        return _checked(value, hint, where)
+    if origin is tuple:
+        if isinstance(value, str) or not isinstance(value, list | tuple):
+            raise InputError(f"{where} must be a sequence, got {value!r}.")
+        return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where} must be finite, got {value!r}.")
+    return value
+
+
+def _positive(default: Any) -> Any:
+    return field(default=default, metadata={"positive": True})
+
+
+@dataclass(frozen=True)
+class Physics(_Section):
+    """Blood, wall and stenosis (section 2.5 of the paper).
+
+    Attributes
+    ----------
+    density, viscosity : float
+        Of blood, g/cm³ and poise.
+    young_modulus, wall_thickness : float
+        Of the wall, dyn/cm² and cm; with the radius of the healthy inlet they
+        give the stiffness E·h/r₀ of the temporal pressure stage.
+    reference_pressure : float
+        p_ref, dyn/cm² (100 mmHg).  Only a scale: p* = p / p_ref.
+    stenosis_length, stenosis_position : float
+        cm.  The paper prints no length; 0.5 cm was measured on its data.
+    turbulent_coefficient : float
+        K_t of Seeley and Young (1976).
+    """
+
+    density: float = _positive(1.06)
+    viscosity: float = _positive(0.04)
+    young_modulus: float = _positive(1.5e7)
+    wall_thickness: float = _positive(0.05)
+    reference_pressure: float = _positive(133_322.0)
+    stenosis_length: float = _positive(0.5)
+    stenosis_position: float = 2.0
+    turbulent_coefficient: float = 1.52
+
+
+@dataclass(frozen=True)
+class BFGS(_Section):
+    """The optimiser of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
+
+    The paper names BFGS; these settings are those of the published code.
+
+    Attributes
+    ----------
+    initial_step_norm : float
+        The inverse Hessian starts as ``initial_step_norm / max|g|`` · I.
+    sufficient_decrease, shrink_most, shrink_least : float
+        c₁, ρ_lo and ρ_hi of the cubic backtracking line search.
+    max_backtracks : int
+        Trial steps before a line search is given up.
+    gradient_tolerance : float
+        A fit stops early when max|g| is not larger than this.
+    """
+
+    initial_step_norm: float = _positive(0.01)
+    sufficient_decrease: float = _positive(1e-4)
+    shrink_most: float = _positive(0.1)
+    shrink_least: float = _positive(0.5)
+    max_backtracks: int = _positive(1000)
+    gradient_tolerance: float = 1e-8
+
+
+@dataclass(frozen=True)
+class FlowStage(_Section):
+    """Momentum equation ∂Q/∂z = f_θ(Q, S), a neural ODE in z.
+
+    Attributes
+    ----------
+    hidden : tuple of int
+        Widths of the hidden layers; input 2·n_t and output n_t follow the data.
+    activation : str
+        Between layers; the last layer is linear.
+    epochs, iterations : int
+        Passes through the batches, and BFGS iterations in each batch.
+    couple_every : int
+        Epochs between two couplings of the area back into the network's input.
+    rtol, atol : float
+        Of Tsit5's adaptive steps (defaults of DifferentialEquations.jl).
+    first_step : float or None
+        cm; None takes the grid's first spacing, as the published code does.
+    max_steps : int
+        Accepted and rejected steps after which a solve counts as diverged.
+    loss : {'mean', 'sum'}
+        Mean (paper) or sum (published code) of squared errors.  The optimiser's
+        path does not depend on the scale, but for its gradient tolerance.
+    """
+
+    hidden: tuple[int, ...] = _positive((8, 8, 8, 8))
+    activation: Activation = "tanh"
+    epochs: int = _positive(100)
+    iterations: int = _positive(5)
+    couple_every: int = _positive(25)
+    rtol: float = _positive(1e-3)
+    atol: float = _positive(1e-6)
+    first_step: float | None = None
+    max_steps: int = _positive(256)
+    loss: Loss = "mean"
+
+
+@dataclass(frozen=True)
+class IntermediateAreaStage(_Section):
+    """Continuity ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
+
+    Attributes
+    ----------
+    cycles : int
+        Cycles integrated; the loss is taken on the last one.
+    iterations : int
+        BFGS iterations in each batch, each time the area is coupled.
+    """
+
+    cycles: int = _positive(3)
+    iterations: int = _positive(5)
+
+
+@dataclass(frozen=True)
+class FourierAreaStage(_Section):
+    """Periodic area by Fourier series, S_n = −a(z)/(iω_n) ∂Q_n/∂z.
+
+    Attributes
+    ----------
+    terms : int
+        Number of terms with the mean, so harmonics 1 … terms − 1.
+    iterations : int
+        BFGS iterations in each batch, each time the area is coupled.
+    anchor : {'last_instant', 'last_cycle', 'undeformed'}
+        Where S₀ takes Ŝ(z, t=0) from.  The text does not say which of the
+        integrated cycles' starts is t = 0; the default is the published code's
+        reading, the end of the integration (the start of the next cycle, where
+        the transient has died out).  'last_cycle' is the start of the cycle
+        that is fitted, 'undeformed' the start of the first, which is S_u.  Only
+        the default reaches the paper's training error (CONTRIBUTING has the
+        measurement).
+    frequency : {'harmonic', 'next'}
+        ω_n (paper) or, with the published code, ω_{n+1} dividing harmonic n.
+    sides : {'two', 'one'}
+        The whole real series (paper), or its one-sided half (published code),
+        which halves the amplitude that a(z) = 1 means.
+    restart : bool
+        False (paper) continues (a, b) from batch to batch; True (published
+        code) starts each batch from a = 1, b = 0, so that only the last batch
+        counts.
+    """
+
+    terms: int = field(default=10, metadata={"positive": True})
+    iterations: int = _positive(5)
+    anchor: Literal["last_instant", "last_cycle", "undeformed"] = "last_instant"
+    frequency: Literal["harmonic", "next"] = "harmonic"
+    sides: Literal["two", "one"] = "two"
+    restart: bool = False
+
+
+@dataclass(frozen=True)
+class TemporalPressureStage(_Section):
+    """First pressure stage, p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q).
+
+    Attributes
+    ----------
+    hidden : tuple of int
+        Widths of the hidden layers; input 4·n_z and output n_z follow the data.
+    activation : str
+        tanh in the paper's text; the published weights fit GeLU.
+    iterations : int
+        BFGS iterations, on all training cases at once.
+    pressure_drop_input : {'normalised', 'dyn'}
+        Δp/p_ref as in the published code, or Δp in dyn/cm².  The text leaves
+        the scale open; in dyn/cm² the input saturates every tanh.
+    """
+
+    hidden: tuple[int, ...] = _positive((2, 2))
+    activation: Activation = "tanh"
+    iterations: int = _positive(250)
+    pressure_drop_input: Literal["normalised", "dyn"] = "normalised"
+
+
+@dataclass(frozen=True)
+class SpatialPressureStage(_Section):
+    """Second pressure stage: constant, tanh at the stenosis, constant.
+
+    Attributes
+    ----------
+    iterations : int
+        BFGS iterations, on all training cases at once.
+    form : {'continuous', 'printed'}
+        The paper's equation as printed jumps by the whole pressure drop at
+        z = L/3, against its own description (constant, tanh, constant) and
+        figure.  'continuous' centres the tanh on the mean of p̂*, with half the
+        drop on either side; 'printed' is the equation to the letter.
+    """
+
+    iterations: int = _positive(75)
+    form: Literal["continuous", "printed"] = "continuous"
+
+
+@dataclass(frozen=True)
+class PCNDEConfig(_Section):
+    """All settings of a PCNDE, grouped per stage; the default is the paper's.
+
+    Attributes
+    ----------
+    physics : Physics
+        Constants of blood, wall and stenosis.
+    optimiser : BFGS
+        Settings of the optimiser that all stages share.
+    flow, intermediate_area, fourier_area : stage settings
+        Trained in turns, coupled.
+    temporal_pressure, spatial_pressure : stage settings
+        Trained after them.
+    batch_size : int
+        Cases in a batch of the flow and area stages.
+    coupling_passes : int
+        Passes through flow and area at inference.
+
+    Examples
+    --------
+    >>> from pcnde_bridge import PCNDEConfig
+    >>> PCNDEConfig().replace(flow={"epochs": 10}).flow.epochs
+    10
+    """
+
+    physics: Physics = Physics()
+    optimiser: BFGS = BFGS()
+    flow: FlowStage = FlowStage()
+    intermediate_area: IntermediateAreaStage = IntermediateAreaStage()
+    fourier_area: FourierAreaStage = FourierAreaStage()
+    temporal_pressure: TemporalPressureStage = TemporalPressureStage()
+    spatial_pressure: SpatialPressureStage = SpatialPressureStage()
+    batch_size: int = _positive(12)
+    coupling_passes: int = _positive(3)
+
+    def to_json(self) -> str:
+        """Settings as a JSON text that :meth:`from_json` reads back."""
+        return json.dumps(self.to_dict(), indent=1)
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> PCNDEConfig:
+        """Settings from nested mappings; what is left out keeps its default.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not usable.
+        """
+        if not isinstance(settings, Mapping):
+            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
+        return cls().replace(**settings)
+
+    @classmethod
+    def from_json(cls, text: str) -> PCNDEConfig:
+        """Inverse of :meth:`to_json`.
+
+        Raises
+        ------
+        InputError
+            If the text is not JSON, a name is unknown or a value is not usable.
+        """
+        try:
+            settings = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"The configuration is not JSON: {error}.") from error
+        return cls.from_dict(settings)
+
+
+PAPER = PCNDEConfig()
+"""The paper's text, all of its numbers."""
+
+PUBLISHED_CODE = PAPER.replace(
+    flow={"loss": "sum"},
+    fourier_area={
+        "frequency": "next",
+        "sides": "one",
+        "restart": True,
+    },
+    temporal_pressure={"activation": "gelu"},
+)
+"""What the authors' published code and weights do, where it differs from the text."""
+
+PRESETS: Mapping[str, PCNDEConfig] = types.MappingProxyType(
+    {"paper": PAPER, "published-code": PUBLISHED_CODE}
+)
+"""The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
+
+
+def resolve_config(config: PCNDEConfig | str) -> PCNDEConfig:
+    """Return a configuration given as itself or by its preset's name.
+
+    Raises
+    ------
+    InputError
+        If there is no preset of that name.
+    """
+    if isinstance(config, PCNDEConfig):
+        return config
+    if isinstance(config, str) and config in PRESETS:
+        return PRESETS[config]
+    raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.")

@@ -1,0 +1,1 @@
+"""Computing engines: where the numbers come from."""

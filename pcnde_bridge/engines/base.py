@@ -1,0 +1,230 @@
+"""What a computing engine is: five stages, each of which can solve, judge and fit.
+
+Everything that crosses this border is a plain float64 array in (case, time, z)
+order or a flat parameter vector (see :mod:`pcnde_bridge.parameters`).  The
+training loop and the model know nothing else about an engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.config import PCNDEConfig
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the numbers live.
+
+    Attributes
+    ----------
+    time : array of shape (n_t,)
+        Instants of one cycle, s, uniform, the end point not repeated.
+    z : array of shape (n_z,)
+        Points along the vessel, cm, increasing.
+    period : float
+        Length of the cycle, s.
+    """
+
+    time: Array
+    z: Array
+    period: float
+
+
+@dataclass(frozen=True)
+class FlowInputs:
+    """Inputs of the momentum equation.
+
+    Attributes
+    ----------
+    inflow : array of shape (case, time)
+        Q(z=0, t), mL/s.
+    area : array of shape (case, time, z)
+        S, cm²; linear in z between the points.
+    """
+
+    inflow: Array
+    area: Array
+
+
+@dataclass(frozen=True)
+class IntermediateAreaInputs:
+    """Inputs of the continuity equation.
+
+    Attributes
+    ----------
+    flow : array of shape (case, time, z)
+        Q, mL/s, periodic and linear in time between the instants.
+    area_undeformed : array of shape (case, z)
+        S_u, cm², the initial condition.
+    """
+
+    flow: Array
+    area_undeformed: Array
+
+
+@dataclass(frozen=True)
+class FourierAreaInputs:
+    """Inputs of the periodic area.
+
+    Attributes
+    ----------
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    initial_area : array of shape (case, z)
+        Ŝ(z, t=0), cm², from the intermediate area.
+    """
+
+    flow: Array
+    initial_area: Array
+
+
+@dataclass(frozen=True)
+class TemporalPressureInputs:
+    """Inputs of the first pressure stage.
+
+    Attributes
+    ----------
+    flow, area : array of shape (case, time, z)
+        Q, mL/s, and S, cm².
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+
+    flow: Array
+    area: Array
+    area_undeformed: Array
+
+
+@dataclass(frozen=True)
+class SpatialPressureInputs:
+    """Inputs of the second pressure stage.
+
+    Attributes
+    ----------
+    temporal : array of shape (case, time, z)
+        p̂*, the first stage's result.
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+
+    temporal: Array
+    flow: Array
+    area_undeformed: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of one run of the optimiser.
+
+    Attributes
+    ----------
+    parameters : array of shape (size,)
+        The last accepted iterate.
+    losses : array of shape (iterations + 1,)
+        Loss at the start and after each iteration.
+    converged : bool
+        Whether the gradient tolerance ended the run before its last iteration.
+    message : str
+        Why it ended.
+    """
+
+    parameters: Array
+    losses: Array
+    converged: bool
+    message: str
+
+
+OnIteration = Callable[[int, float], None]
+"""Called with the iteration's number, from 1, and its loss; it may raise to stop."""
+
+InputsT = TypeVar("InputsT", contravariant=True)
+
+
+class Stage(Protocol[InputsT]):
+    """One stage of the method, as an engine offers it."""
+
+    def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
+        """Evaluate the stage for every case on its own.
+
+        A case's result does not depend on the cases beside it.
+
+        Returns
+        -------
+        array of shape (case, time, z)
+            Flow, area, or pressure over p_ref; the intermediate area has
+            ``cycles`` times as many instants.
+
+        Raises
+        ------
+        SolveError
+            If the equation cannot be integrated to the end.
+        """
+        ...
+
+    def loss_and_gradient(
+        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+    ) -> tuple[float, Array]:
+        """Squared error against ``target`` (case, time, z), and its gradient.
+
+        The flow stage controls its step by the error of all cases together.
+        The loss is infinite where the equation cannot be integrated.
+        """
+        ...
+
+    def fit(
+        self,
+        parameters: Array,
+        inputs: InputsT,
+        target: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+        iterations: int,
+        on_iteration: OnIteration | None = None,
+    ) -> Fit:
+        """Minimise :meth:`loss_and_gradient` by BFGS from ``parameters``.
+
+        Raises
+        ------
+        SolveError
+            If the loss is not finite at the start.
+        """
+        ...
+
+
+class Engine(Protocol):
+    """A computing engine.
+
+    Attributes
+    ----------
+    name : str
+        ``"julia"`` or ``"jax"``.
+    versions : mapping of str to str
+        What computes: packages and their versions.
+    flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
+        The five stages.
+    """
+
+    name: str
+
+    @property
+    def versions(self) -> Mapping[str, str]: ...
+    @property
+    def flow(self) -> Stage[FlowInputs]: ...
+    @property
+    def intermediate_area(self) -> Stage[IntermediateAreaInputs]: ...
+    @property
+    def fourier_area(self) -> Stage[FourierAreaInputs]: ...
+    @property
+    def temporal_pressure(self) -> Stage[TemporalPressureInputs]: ...
+    @property
+    def spatial_pressure(self) -> Stage[SpatialPressureInputs]: ...

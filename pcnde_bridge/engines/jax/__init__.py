@@ -1,0 +1,82 @@
+"""The embedded engine: JAX and diffrax, wherever Python runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+
+import jax
+import jax.numpy as jnp
+
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.base import (
+    FlowInputs,
+    FourierAreaInputs,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.engines.jax import area, flow, pressure
+from pcnde_bridge.engines.jax.stage import JaxStage
+
+__all__ = ["JaxEngine"]
+
+_Inputs = tuple[jax.Array, ...]
+_Grid = tuple[jax.Array, jax.Array]
+_Result = tuple[jax.Array, jax.Array]
+_ALWAYS = True
+
+
+def _flow(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    inflow, s = inputs
+    return flow.solve(parameters, inflow, s, weight, grid[0], config)
+
+
+def _intermediate_area(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    return area.intermediate(parameters, *inputs, *grid, config), jnp.asarray(_ALWAYS)
+
+
+def _fourier_area(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    return area.fourier(parameters, *inputs, *grid, config), jnp.asarray(_ALWAYS)
+
+
+def _temporal_pressure(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    return pressure.temporal(parameters, *inputs, config), jnp.asarray(_ALWAYS)
+
+
+def _spatial_pressure(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    return pressure.spatial(parameters, *inputs, grid[0], config), jnp.asarray(_ALWAYS)
+
+
+class JaxEngine:
+    """The five stages in JAX; see :class:`pcnde_bridge.engines.base.Engine`."""
+
+    name = "jax"
+
+    def __init__(self) -> None:
+        self.flow: JaxStage[FlowInputs] = JaxStage(
+            _flow,
+            loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
+            each_on_its_own=True,
+        )
+        self.intermediate_area: JaxStage[IntermediateAreaInputs] = JaxStage(
+            _intermediate_area, compared=area.last_cycle
+        )
+        self.fourier_area: JaxStage[FourierAreaInputs] = JaxStage(_fourier_area)
+        self.temporal_pressure: JaxStage[TemporalPressureInputs] = JaxStage(_temporal_pressure)
+        self.spatial_pressure: JaxStage[SpatialPressureInputs] = JaxStage(_spatial_pressure)
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of the packages that compute."""
+        return {name: version(name) for name in ("jax", "jaxlib", "diffrax")}

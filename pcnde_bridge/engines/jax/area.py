@@ -1,0 +1,138 @@
+"""Continuity equation: the intermediate area and the periodic Fourier area.
+
+Both are linear in their corrections: S = known + a(z)·f(t, z) + b(z)·g(t).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcnde_bridge.config import FourierAreaStage, PCNDEConfig
+
+
+def flow_slope(flow: jax.Array, z: jax.Array) -> jax.Array:
+    """∂Q/∂z by second-order differences, central inside, one-sided at both ends.
+
+    Parameters
+    ----------
+    flow : array of shape (..., z)
+        Q, mL/s, or anything linear in it.
+    z : array of shape (z,)
+        Points, cm; the spacing may vary.
+    """
+    spacing = z[1:] - z[:-1]
+    left, right = spacing[:-1], spacing[1:]
+    slopes = (flow[..., 1:] - flow[..., :-1]) / spacing
+    inside = (right * slopes[..., :-1] + left * slopes[..., 1:]) / (left + right)
+    # The parabola through three points has the mean slope of its end and middle in between.
+    first = 2 * slopes[..., :1] - inside[..., :1]
+    last = 2 * slopes[..., -1:] - inside[..., -1:]
+    return jnp.concatenate([first, inside, last], axis=-1)
+
+
+def intermediate(
+    parameters: jax.Array,
+    flow: jax.Array,
+    area_undeformed: jax.Array,
+    z: jax.Array,
+    period: jax.Array,
+    config: PCNDEConfig,
+) -> jax.Array:
+    """Ŝ of ∂Ŝ/∂t = −â ∂Q/∂z + b̂ from S_u, all cycles.
+
+    Q is linear in time between its instants, so a step of Tsit5 (of any
+    Runge–Kutta method of order two or more) from instant to instant, as the
+    published code takes them, is the trapezoidal rule to round-off.
+
+    Parameters
+    ----------
+    parameters : array of shape (2·z,)
+        â, b̂.
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    z, period
+        The grid, cm and s.
+    config : PCNDEConfig
+        Gives the number of cycles.
+
+    Returns
+    -------
+    array of shape (case, cycles·time, z)
+        Ŝ, cm².
+    """
+    n_times, cycles = flow.shape[1], config.intermediate_area.cycles
+    a, b = jnp.split(parameters, 2)
+    step = period / n_times
+    slope = flow_slope(flow, z)
+    trapezoids = step * (slope + jnp.roll(slope, -1, axis=1)) / 2
+    until = jnp.cumsum(trapezoids, axis=1)
+    one_cycle = jnp.concatenate([jnp.zeros_like(until[:, :1]), until[:, :-1]], axis=1)
+    per_cycle = until[:, -1:]
+    integral = jnp.concatenate([one_cycle + k * per_cycle for k in range(cycles)], axis=1)
+    elapsed = step * jnp.arange(cycles * n_times)
+    return area_undeformed[:, None] - a * integral + b * elapsed[:, None]
+
+
+def last_cycle(area: jax.Array, n_times: int) -> jax.Array:
+    """Last cycle of an intermediate area, (case, time, z)."""
+    return area[:, -n_times:]
+
+
+def fourier(
+    parameters: jax.Array,
+    flow: jax.Array,
+    initial_area: jax.Array,
+    z: jax.Array,
+    period: jax.Array,
+    config: PCNDEConfig,
+) -> jax.Array:
+    """Periodic S with S_n = −a/(iω_n) ∂Q_n/∂z and S₀ = Ŝ(t=0) − Σ S_n + b.
+
+    Parameters
+    ----------
+    parameters : array of shape (2·z,)
+        a, b.
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    initial_area : array of shape (case, z)
+        Ŝ(z, t=0), cm².
+    z, period
+        The grid, cm and s.
+    config : PCNDEConfig
+        Number of terms, and the published code's variants.
+
+    Returns
+    -------
+    array of shape (case, time, z)
+        S, cm².
+    """
+    a, b = jnp.split(parameters, 2)
+    analysis, synthesis = fourier_integral(flow.shape[1], config.fourier_area)
+    coefficients = jnp.einsum("kt,ntz->nkz", analysis, flow)
+    integral = period * jnp.einsum("tk,nkz->ntz", synthesis, flow_slope(coefficients, z))
+    # S − S₀ is zero at the first instant: the anchor holds there.
+    return initial_area[:, None] - a * (integral - integral[:, :1]) + b
+
+
+def fourier_integral(n_times: int, stage: FourierAreaStage) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices that integrate a periodic signal in time by its Fourier series.
+
+    Returns
+    -------
+    analysis : array of shape (2·(terms − 1), time)
+        To the cosine and sine parts of the harmonics.
+    synthesis : array of shape (time, 2·(terms − 1))
+        From these to the integral of the signal without its mean, over the period.
+    """
+    harmonics = np.arange(1, stage.terms)[:, None]
+    angle = 2 * np.pi * harmonics * np.arange(n_times) / n_times
+    analysis = np.concatenate([np.cos(angle), np.sin(angle)]) / n_times
+    divisor = 2 * np.pi * (harmonics + (1 if stage.frequency == "next" else 0))
+    sides = 2 if stage.sides == "two" else 1
+    # Q_n = c − i·s, so the real part of Q_n·exp(iωt)/(iω) is (c·sin ωt − s·cos ωt)/ω.
+    synthesis = sides * np.concatenate([np.sin(angle) / divisor, -np.cos(angle) / divisor])
+    return analysis, synthesis.T

@@ -1,0 +1,211 @@
+"""From a function of parameters and cases to an engine's stage: pad, compile, fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import fields
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.base import Fit, Grid, OnIteration
+from pcnde_bridge.engines.jax.bfgs import minimise
+from pcnde_bridge.errors import SolveError
+
+Array = npt.NDArray[np.float64]
+InputsT = TypeVar("InputsT")
+
+_LARGEST_BATCH = 128
+
+
+def double_precision() -> AbstractContextManager[Any]:
+    """Context in which JAX computes in float64, leaving the user's own setting alone."""
+    if hasattr(jax, "enable_x64"):
+        return jax.enable_x64(True)  # type: ignore[no-any-return]
+    from jax.experimental import enable_x64
+
+    return enable_x64()  # type: ignore[no-any-return]
+
+
+class Model(Protocol):
+    """A stage's equation for several cases at once.
+
+    ``weight`` (case,) is 0 for cases that only fill a batch.  Returns the
+    prediction (case, time, z) and whether it could be computed.
+    """
+
+    def __call__(
+        self,
+        parameters: jax.Array,
+        inputs: tuple[jax.Array, ...],
+        weight: jax.Array,
+        grid: tuple[jax.Array, jax.Array],
+        config: PCNDEConfig,
+    ) -> tuple[jax.Array, jax.Array]: ...
+
+
+class JaxStage(Generic[InputsT]):
+    """One stage, compiled once per shape.
+
+    Numbers of cases are rounded up to 2^k or 3·2^(k−1), so that few shapes are
+    compiled: training's last, smaller batch has the shape of the others.
+
+    Parameters
+    ----------
+    model : Model
+        The equation.
+    compared : callable
+        Takes the part of the prediction that the loss compares with the target,
+        ``(prediction, n_times) -> array``.
+    loss_scale : callable
+        ``(config, count) -> divisor`` of the sum of squares.
+    each_on_its_own : bool
+        Whether :meth:`solve` must map the model over single cases, because its
+        cases influence each other through the step control.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        compared: Callable[[jax.Array, int], jax.Array] = lambda prediction, _: prediction,
+        loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
+        each_on_its_own: bool = False,
+    ) -> None:
+        self._model = model
+        self._compared = compared
+        self._loss_scale = loss_scale
+        self._each_on_its_own = each_on_its_own
+        compile_ = partial(jax.jit, static_argnames=("config",))
+        self._solve = compile_(self._predict)
+        self._value = compile_(self._loss)
+        self._value_and_gradient = compile_(jax.value_and_grad(self._loss))
+
+    def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        arrays = _arrays(inputs)
+        results = []
+        with double_precision():
+            where = _on_device(grid)
+            for start in range(0, arrays[0].shape[0], _LARGEST_BATCH):
+                part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
+                count = part[0].shape[0]
+                predicted, solved = self._solve(
+                    jnp.asarray(parameters), _padded(part), where, config=config
+                )
+                failed = np.flatnonzero(~np.asarray(solved)[:count])
+                if failed.size:
+                    raise SolveError(
+                        f"The equation could not be integrated for case {start + failed[0]} "
+                        f"({failed.size} of {count} cases failed): the step became too small or "
+                        "a value not finite. Check the inflow's and area's units (mL/s, cm²) "
+                        "and that they resemble the training data."
+                    )
+                results.append(np.asarray(predicted)[:count])
+        return results[0] if len(results) == 1 else np.concatenate(results)
+
+    def loss_and_gradient(
+        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+    ) -> tuple[float, Array]:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        with double_precision():
+            data = _fit_data(inputs, target, grid)
+            loss, gradient = self._value_and_gradient(jnp.asarray(parameters), *data, config=config)
+            return float(loss), np.array(gradient)
+
+    def fit(
+        self,
+        parameters: Array,
+        inputs: InputsT,
+        target: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+        iterations: int,
+        on_iteration: OnIteration | None = None,
+    ) -> Fit:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        with double_precision():
+            data = _fit_data(inputs, target, grid)
+
+            def value(x: Array) -> float:
+                return float(self._value(x, *data, config=config))
+
+            def value_and_gradient(x: Array) -> tuple[float, Array]:
+                loss, gradient = self._value_and_gradient(x, *data, config=config)
+                return float(loss), np.asarray(gradient)
+
+            return minimise(
+                value, value_and_gradient, parameters, config.optimiser, iterations, on_iteration
+            )
+
+    def _predict(
+        self,
+        parameters: jax.Array,
+        inputs: tuple[jax.Array, ...],
+        grid: tuple[jax.Array, jax.Array],
+        config: PCNDEConfig,
+    ) -> tuple[jax.Array, jax.Array]:
+        count = inputs[0].shape[0]
+        if not self._each_on_its_own:
+            predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
+            return predicted, jnp.broadcast_to(solved, (count,))
+
+        def one(*case: jax.Array) -> tuple[jax.Array, jax.Array]:
+            batch_of_one = tuple(a[None] for a in case)
+            predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
+            return predicted[0], solved
+
+        return jax.vmap(one)(*inputs)  # type: ignore[no-any-return]
+
+    def _loss(
+        self,
+        parameters: jax.Array,
+        inputs: tuple[jax.Array, ...],
+        weight: jax.Array,
+        target: jax.Array,
+        grid: tuple[jax.Array, jax.Array],
+        config: PCNDEConfig,
+    ) -> jax.Array:
+        predicted, solved = self._model(parameters, inputs, weight, grid, config)
+        error = self._compared(predicted, target.shape[1]) - target
+        count = jnp.sum(weight) * math.prod(target.shape[1:])
+        total = jnp.sum(weight[:, None, None] * error**2)
+        return jnp.where(solved, total / self._loss_scale(config, count), jnp.inf)
+
+
+def _arrays(inputs: Any) -> tuple[Array, ...]:
+    return tuple(getattr(inputs, f.name) for f in fields(inputs))
+
+
+def _on_device(grid: Grid) -> tuple[jax.Array, jax.Array]:
+    return jnp.asarray(grid.z), jnp.asarray(grid.period)
+
+
+def _fit_data(inputs: Any, target: Array, grid: Grid) -> tuple[Any, ...]:
+    arrays = _arrays(inputs)
+    count = target.shape[0]
+    weight = np.zeros(_rounded_up(count))
+    weight[:count] = 1
+    (padded_target,) = _padded((target,))
+    return _padded(arrays), jnp.asarray(weight), padded_target, _on_device(grid)
+
+
+def _rounded_up(count: int) -> int:
+    power = 1 << max(count - 1, 0).bit_length()
+    return power * 3 // 4 if power >= 4 and count <= power * 3 // 4 else power
+
+
+def _padded(arrays: tuple[Array, ...]) -> tuple[jax.Array, ...]:
+    """Arrays with the last case repeated up to a size that is compiled anyway."""
+    count = arrays[0].shape[0]
+    missing = _rounded_up(count) - count
+    if missing == 0:
+        return tuple(jnp.asarray(a) for a in arrays)
+    return tuple(jnp.asarray(np.concatenate([a, np.repeat(a[-1:], missing, 0)])) for a in arrays)

@@ -1,0 +1,101 @@
+"""The trained equations in their order: flow, area, coupled back, then pressure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.base import (
+    Engine,
+    FlowInputs,
+    FourierAreaInputs,
+    Grid,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.parameters import Parameters
+
+Array = npt.NDArray[np.float64]
+
+
+class FlowAndArea(NamedTuple):
+    """Flow (mL/s) and area (cm²), (case, time, z)."""
+
+    flow: Array
+    area: Array
+
+
+def undeformed(area_undeformed: Array, n_times: int) -> Array:
+    """S_u (case, z) at every instant: the area before anything is known of it."""
+    return np.repeat(area_undeformed[:, None], n_times, axis=1)
+
+
+def initial_area(intermediate: Array, n_times: int, config: PCNDEConfig) -> Array:
+    """Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
+    if config.fourier_area.anchor == "last_instant":
+        return intermediate[:, -1]
+    if config.fourier_area.anchor == "undeformed":
+        return intermediate[:, 0]
+    return intermediate[:, -n_times]
+
+
+def solve_area(
+    engine: Engine,
+    parameters: Parameters,
+    flow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+) -> Array:
+    """Both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
+    intermediate = engine.intermediate_area.solve(
+        parameters.intermediate_area, IntermediateAreaInputs(flow, area_undeformed), grid, config
+    )
+    start = initial_area(intermediate, flow.shape[1], config)
+    return engine.fourier_area.solve(
+        parameters.fourier_area, FourierAreaInputs(flow, start), grid, config
+    )
+
+
+def solve_flow_and_area(
+    engine: Engine,
+    parameters: Parameters,
+    inflow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+) -> FlowAndArea:
+    """All coupling passes, from Q_in (case, time) and S_u (case, z)."""
+    area = undeformed(area_undeformed, inflow.shape[1])
+    for _ in range(config.coupling_passes):
+        flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), grid, config)
+        area = solve_area(engine, parameters, flow, area_undeformed, grid, config)
+    return FlowAndArea(flow, area)
+
+
+def solve_pressure(
+    engine: Engine,
+    parameters: Parameters,
+    solved: FlowAndArea,
+    area_undeformed: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+) -> Array:
+    """Both pressure stages: p (case, time, z), dyn/cm²."""
+    temporal = engine.temporal_pressure.solve(
+        parameters.temporal_pressure,
+        TemporalPressureInputs(solved.flow, solved.area, area_undeformed),
+        grid,
+        config,
+    )
+    relative = engine.spatial_pressure.solve(
+        parameters.spatial_pressure,
+        SpatialPressureInputs(temporal, solved.flow, area_undeformed),
+        grid,
+        config,
+    )
+    return relative * config.physics.reference_pressure

@@ -1,0 +1,144 @@
+"""Pressure drop along a stenosis after Seeley and Young (1976), as in the paper.
+
+    Δp = ρ·Q²/S_D²·K_v/Re + K_t·ρ·Q²/(2·S_D²)·(S_D/S_s − 1)²,   K_v = 32·(L_s/D₀)·(S_D/S_s)²
+
+with S_D and D₀ the area and diameter of the healthy vessel upstream, S_s the
+smallest area and L_s the length of the stenosis, and Re = ρ·|Q|·D₀/(S_D·μ).
+
+Only arithmetic operators and ``abs`` are used, so that every function takes
+numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+
+def diameter(area: Any) -> Any:
+    """Diameter of a circle, cm, from its area, cm²."""
+    return (4.0 / math.pi * area) ** 0.5
+
+
+def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: float = 0.04) -> Any:
+    """Reynolds number of the mean velocity and the diameter, ρ·|Q|·D/(S·μ).
+
+    Parameters
+    ----------
+    flow, area : array, shape (...)
+        Q (mL/s) and S (cm²).
+    density, viscosity : float
+        ρ (g/cm³) and μ (poise).
+    """
+    return density * abs(flow) * diameter(area) / (area * viscosity)
+
+
+def viscous_coefficient(area_healthy: Any, area_throat: Any, length: Any) -> Any:
+    """K_v = 32·(L_s/D₀)·(S_D/S_s)², dimensionless.
+
+    Parameters
+    ----------
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    length : array, shape (...)
+        L_s, cm.
+    """
+    return 32.0 * length / diameter(area_healthy) * (area_healthy / area_throat) ** 2
+
+
+def effective_length(length: Any, area_throat: Any) -> Any:
+    """Length 0.83·L_s + 1.64·D_s, cm, that Seeley and Young themselves put into K_v.
+
+    The paper prints L_s alone; svOneDSolver uses this one.
+
+    Parameters
+    ----------
+    length : array, shape (...)
+        L_s, cm.
+    area_throat : array, shape (...)
+        S_s, cm², with diameter D_s.
+    """
+    return 0.83 * length + 1.64 * diameter(area_throat)
+
+
+def viscous_drop(
+    flow: Any, area_healthy: Any, area_throat: Any, length: Any, viscosity: float = 0.04
+) -> Any:
+    """Viscous part ρ·Q²/S_D²·K_v/Re of the pressure drop, dyn/cm².
+
+    One Q and the density cancel against Re.  What is left, K_v·μ·Q/(S_D·D₀), is
+    defined at rest and changes sign with the flow.  It is Poiseuille's drop in a
+    tube of the throat's area.
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s.
+    area_healthy, area_throat, length : array, shape (...)
+        S_D, S_s (cm²) and L_s (cm).
+    viscosity : float
+        μ, poise.
+    """
+    k_v = viscous_coefficient(area_healthy, area_throat, length)
+    return k_v * viscosity * flow / (area_healthy * diameter(area_healthy))
+
+
+def turbulent_drop(
+    flow: Any,
+    area_healthy: Any,
+    area_throat: Any,
+    density: float = 1.06,
+    turbulent_coefficient: float = 1.52,
+) -> Any:
+    """Turbulent part K_t·ρ·Q·|Q|/(2·S_D²)·(S_D/S_s − 1)² of the pressure drop, dyn/cm².
+
+    The paper prints Q².  Q·|Q| is the same for forward flow, and makes the loss
+    oppose reversed flow instead of driving it.
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s.
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    density : float
+        ρ, g/cm³.
+    turbulent_coefficient : float
+        K_t.
+    """
+    dynamic_pressure = 0.5 * density * flow * abs(flow) / area_healthy**2
+    return turbulent_coefficient * dynamic_pressure * (area_healthy / area_throat - 1.0) ** 2
+
+
+def pressure_drop(
+    flow: Any,
+    area_healthy: Any,
+    area_throat: Any,
+    length: Any,
+    density: float = 1.06,
+    viscosity: float = 0.04,
+    turbulent_coefficient: float = 1.52,
+) -> Any:
+    """Pressure drop Δp along a stenosis, dyn/cm²: viscous plus turbulent part.
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s; a negative flow gives a negative drop.
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    length : array, shape (...)
+        L_s, cm.
+    density, viscosity : float
+        ρ (g/cm³) and μ (poise).
+    turbulent_coefficient : float
+        K_t.
+
+    Returns
+    -------
+    array, shape (...)
+        Broadcast over all arguments; numpy in, numpy out, and the same for JAX.
+    """
+    return viscous_drop(flow, area_healthy, area_throat, length, viscosity) + turbulent_drop(
+        flow, area_healthy, area_throat, density, turbulent_coefficient
+    )
