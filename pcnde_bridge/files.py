@@ -1,0 +1,140 @@
+"""Writing files atomically, and checksums of arrays and files."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcnde_bridge.errors import FileError, PCNDEError
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Write a file so that it appears whole or not at all.
+
+    Yields the path of an empty temporary file in the folder of ``path`` and with
+    its suffix. When the block ends well, the temporary file replaces ``path``;
+    when it raises, the temporary file is removed and ``path`` stays as it was.
+    A symbolic link is followed: the file that it points to is replaced.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file to write.
+
+    Yields
+    ------
+    pathlib.Path
+        The temporary file, to be opened and closed inside the block.
+
+    Raises
+    ------
+    FileError
+        When the folder does not exist or cannot be written to, when ``path`` is
+        a folder, or when the disk is full.
+
+    Examples
+    --------
+    >>> with atomic_write("result.txt") as temporary:  # doctest: +SKIP
+    ...     temporary.write_text("42")
+    """
+    target = Path(path).resolve()
+    if not target.parent.is_dir():
+        raise FileError(
+            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist; "
+            "create it first"
+        )
+    if target.is_dir():
+        raise FileError(f"cannot write {str(path)!r}: it is a folder; give a file name")
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        # Not tempfile.mkstemp, whose files only their owner may read.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield temporary
+        _flush(temporary)
+        temporary.replace(target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        # The package's own errors can be OSErrors too; they already say what is wrong.
+        if isinstance(error, OSError) and not isinstance(error, PCNDEError):
+            raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
+        raise
+
+
+def _flush(path: Path) -> None:
+    """Have the operating system put a file's contents on the disk."""
+    with path.open("rb+") as handle:
+        os.fsync(handle.fileno())
+
+
+def _reason(error: OSError, target: Path) -> str:
+    """Say in words why a file could not be written."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "the disk is full; free some space or choose another folder"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"no permission to write in {str(target.parent)!r}; choose another folder"
+    return str(error)
+
+
+def sha256_file(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 checksum of a file, as 64 hexadecimal digits.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file to read.
+
+    Returns
+    -------
+    str
+        The checksum.
+
+    Raises
+    ------
+    FileError
+        When the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as handle:
+            while block := handle.read(1 << 20):
+                digest.update(block)
+    except OSError as error:
+        raise FileError(f"cannot read {str(path)!r}: {error}") from error
+    return digest.hexdigest()
+
+
+def sha256_arrays(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256 checksum of named arrays, as 64 hexadecimal digits.
+
+    Names, their order, shapes, kinds and every value count. The byte order and
+    the memory layout do not, so the result is the same on every machine.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray
+        Numbers, booleans or text; arrays of Python objects are not allowed.
+
+    Returns
+    -------
+    str
+        The checksum.
+    """
+    digest = hashlib.sha256()
+    for name, array in arrays.items():
+        if array.dtype.hasobject:
+            raise TypeError(f"array {name!r} holds Python objects; it has no checksum")
+        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+        digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
+        digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
+    return digest.hexdigest()

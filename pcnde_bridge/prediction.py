@@ -1,0 +1,95 @@
+"""What a model predicts: arrays, and the same as a tidy frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Flow, area and pressure over a cycle along the vessel.
+
+    Attributes
+    ----------
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    area : array of shape (case, time, z)
+        S, cm².
+    pressure : array of shape (case, time, z) or None
+        p, dyn/cm²; None from a model without pressure stages.
+    area_undeformed : array of shape (case, z)
+        S_u, cm², as given.
+    time, z : array
+        s and cm.
+    period : float
+        s.
+    labels : DataFrame
+        One row for each case.
+    """
+
+    flow: Array
+    area: Array
+    pressure: Array | None
+    area_undeformed: Array
+    time: Array
+    z: Array
+    period: float
+    labels: pd.DataFrame = field(repr=False)
+
+    def __len__(self) -> int:
+        return self.flow.shape[0]
+
+    def variables(self) -> dict[str, Array]:
+        """Return the predicted variables by name, without those that are missing."""
+        found = {"flow": self.flow, "area": self.area, "pressure": self.pressure}
+        return {name: values for name, values in found.items() if values is not None}
+
+    def to_frame(self) -> pd.DataFrame:
+        """Tidy frame: one row for each case, instant and point.
+
+        Returns
+        -------
+        DataFrame
+            Columns of the labels, then ``time`` (s), ``z`` (cm), ``flow`` (mL/s),
+            ``area`` (cm²), ``pressure`` (dyn/cm², if predicted) and
+            ``area_undeformed`` (cm²).
+        """
+        n_cases, n_times, n_points = self.flow.shape
+        rows = np.repeat(np.arange(n_cases), n_times * n_points)
+        frame = self.labels.iloc[rows].reset_index(drop=True)
+        frame["time"] = np.tile(np.repeat(self.time, n_points), n_cases)
+        frame["z"] = np.tile(self.z, n_cases * n_times)
+        for name, values in self.variables().items():
+            frame[name] = values.ravel()
+        frame["area_undeformed"] = np.repeat(self.area_undeformed, n_times, axis=0).ravel()
+        return frame
+
+    def to_cases(self) -> Cases:
+        """Return the prediction as a data set.
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a predicted area is not positive.
+        """
+        if self.pressure is None:
+            raise InputError("The model has no pressure stages, so this is not a whole data set.")
+        return Cases(
+            self.flow,
+            self.area,
+            self.pressure,
+            self.area_undeformed,
+            self.time,
+            self.z,
+            period=self.period,
+            labels=self.labels,
+        )

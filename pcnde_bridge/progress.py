@@ -1,0 +1,87 @@
+"""Progress of long work, in terminals, notebooks and log files."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from pcnde_bridge.history import Iteration
+
+_LOG_EVERY = 10.0  # seconds between two lines where no bar can be drawn
+
+
+class TrainingProgress:
+    """Shows stage, loss, elapsed and remaining time of a training run.
+
+    Where the output is a terminal or a notebook this is a bar, elsewhere a line
+    now and then, so that log files stay short.
+
+    Parameters
+    ----------
+    total, done : int
+        Iterations of the whole run, and of them those done before.
+    console : rich.console.Console, optional
+        Where to write; by default the standard error stream, so that results
+        on standard output stay clean.
+    """
+
+    def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._draws = self._console.is_terminal or self._console.is_jupyter
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("loss {task.fields[loss]}"),
+            TimeElapsedColumn(),
+            TextColumn("<"),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=not self._draws,
+        )
+        self._task = self._bar.add_task("training", total=total, completed=done, loss="-")
+        self._total, self._first, self._done = total, done, done
+        self._began = self._last = time.monotonic()
+
+    def __enter__(self) -> TrainingProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self._bar.update(self._task, completed=self._total)
+        self._bar.stop()
+
+    def __call__(self, iteration: Iteration) -> None:
+        """Count one iteration."""
+        self._done += 1
+        stage = iteration.stage.replace("_", " ")
+        where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
+        self._bar.update(
+            self._task, completed=self._done, description=where, loss=f"{iteration.loss:.3e}"
+        )
+        now = time.monotonic()
+        if not self._draws and now - self._last >= _LOG_EVERY:
+            self._last = now
+            elapsed = now - self._began
+            left = elapsed / (self._done - self._first) * (self._total - self._done)
+            self._console.print(
+                f"{where}: iteration {self._done} of {self._total}, loss {iteration.loss:.3e}, "
+                f"elapsed {elapsed:.0f} s, remaining {left:.0f} s",
+                highlight=False,
+            )

@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import stat
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.files import atomic_write, sha256_arrays, sha256_file
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_writes_a_new_file_and_replaces_an_old_one(tmp_path):
+    path = tmp_path / "a.txt"
+    for text in ("first", "second"):
+        with atomic_write(path) as temporary:
+            assert temporary.parent == tmp_path
+            assert temporary.suffix == ".txt"
+            temporary.write_text(text)
+        assert path.read_text() == text
+        assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("kind", [ZeroDivisionError, KeyboardInterrupt, DataNotFoundError])
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path, kind):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(kind), atomic_write(path) as temporary:
+        temporary.write_text("half")
+        raise kind
+    assert path.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX permissions")
+def test_the_file_gets_the_usual_permissions(tmp_path):
+    plain, written = tmp_path / "plain", tmp_path / "written"
+    plain.write_text("")
+    with atomic_write(written):
+        pass
+    assert stat.S_IMODE(written.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="symbolic links need rights there")
+def test_follows_a_symbolic_link(tmp_path):
+    (tmp_path / "real").mkdir()
+    link = tmp_path / "link.txt"
+    link.symlink_to(tmp_path / "real" / "a.txt")
+    with atomic_write(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert (tmp_path / "real" / "a.txt").read_text() == "new"
+
+
+def test_missing_folder(tmp_path):
+    path = tmp_path / "absent" / "a.txt"
+    with pytest.raises(FileError, match="does not exist; create it first"), atomic_write(path):
+        raise AssertionError("the block must not run")
+
+
+def test_target_is_a_folder(tmp_path):
+    with pytest.raises(FileError, match="it is a folder; give a file name"), atomic_write(tmp_path):
+        pass
+
+
+def test_read_only_folder(tmp_path, monkeypatch):
+    def refuse(*_args, **_kwargs):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("pcnde_bridge.files.os.open", refuse)
+    path = tmp_path / "a.txt"
+    with pytest.raises(FileError, match="no permission to write in"), atomic_write(path):
+        pass
+
+
+def test_full_disk(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(FileError, match="the disk is full; free some"), atomic_write(path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert path.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_other_trouble_is_told_in_its_own_words(tmp_path):
+    with pytest.raises(FileError, match="Input/output error"), atomic_write(tmp_path / "a.txt"):
+        raise OSError(errno.EIO, "Input/output error")
+
+
+def test_sha256_file(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"abc" * 1_000_000)
+    assert sha256_file(path) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
+    with pytest.raises(FileError, match="cannot read"):
+        sha256_file(tmp_path / "absent")
+
+
+def test_sha256_arrays_sees_contents_not_layout():
+    array = np.arange(6.0).reshape(2, 3)
+    known = sha256_arrays({"a": array, "t": np.array(["x", "yy"])})
+    assert known == sha256_arrays({"a": np.asfortranarray(array), "t": np.array(["x", "yy"])})
+    assert known == sha256_arrays({"a": array.astype(">f8"), "t": np.array(["x", "yy"], ">U2")})
+    for other in (
+        {"b": array, "t": np.array(["x", "yy"])},
+        {"a": array.reshape(3, 2), "t": np.array(["x", "yy"])},
+        {"a": array.astype(np.float32), "t": np.array(["x", "yy"])},
+        {"a": array, "t": np.array(["xy", "y"])},
+        {"t": np.array(["x", "yy"]), "a": array},
+    ):
+        assert sha256_arrays(other) != known
+    with pytest.raises(TypeError, match="holds Python objects"):
+        sha256_arrays({"a": np.array([None])})
