@@ -1,1 +1,45 @@
-"""PCNDE (being built)."""
+"""Fast, accurate one-dimensional blood-flow models that learn from 3D simulation.
+
+Physics-constrained coupled neural differential equations (PCNDE) after Csala,
+Mohan, Livescu and Arzani (2024).  Units are CGS: cm, s, mL/s, dyn/cm².
+"""
+
+from pcnde_bridge._version import __version__
+from pcnde_bridge.cases import Cases, Split, UnitsWarning
+from pcnde_bridge.config import PAPER, PRESETS, PUBLISHED_CODE, PCNDEConfig
+from pcnde_bridge.datasets import download_published, load_cases
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.errors import (
+    DataNotFoundError,
+    EngineError,
+    EngineUnavailableError,
+    FileError,
+    InputError,
+    PCNDEError,
+    SolveError,
+)
+from pcnde_bridge.model import PCNDE
+from pcnde_bridge.prediction import Prediction
+
+__all__ = [
+    "PAPER",
+    "PCNDE",
+    "PRESETS",
+    "PUBLISHED_CODE",
+    "Cases",
+    "DataNotFoundError",
+    "EngineError",
+    "EngineUnavailableError",
+    "FileError",
+    "InputError",
+    "PCNDEConfig",
+    "PCNDEError",
+    "Prediction",
+    "SolveError",
+    "Split",
+    "UnitsWarning",
+    "__version__",
+    "download_published",
+    "load_cases",
+    "select_engine",
+]

@@ -63,10 +63,10 @@ class _Section:
             old = getattr(self, name)
             if isinstance(old, _Section) and isinstance(value, Mapping):
                 changes[name] = old.replace(**value)
-        return typing.cast(_Config, dataclasses.replace(self, **changes))  # type: ignore[type-var]
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def to_dict(self) -> dict[str, Any]:
-        """Settings as nested plain dictionaries, ready for JSON."""
+        """Return the settings as nested plain dictionaries, ready for JSON."""
         return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
 
 
@@ -329,12 +329,12 @@ class PCNDEConfig(_Section):
     coupling_passes: int = _positive(3)
 
     def to_json(self) -> str:
-        """Settings as a JSON text that :meth:`from_json` reads back."""
+        """Return the settings as a JSON text that :meth:`from_json` reads back."""
         return json.dumps(self.to_dict(), indent=1)
 
     @classmethod
     def from_dict(cls, settings: Mapping[str, Any]) -> PCNDEConfig:
-        """Settings from nested mappings; what is left out keeps its default.
+        """Make settings from nested mappings; what is left out keeps its default.
 
         Raises
         ------

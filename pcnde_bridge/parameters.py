@@ -30,12 +30,14 @@ from pcnde_bridge.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
+PRESSURE_STAGES = ("temporal_pressure", "spatial_pressure")
+"""The stages trained after flow and area."""
+
 STAGES = (
     "flow",
     "intermediate_area",
     "fourier_area",
-    "temporal_pressure",
-    "spatial_pressure",
+    *PRESSURE_STAGES,
 )
 """Names of the five stages, in the order in which they are trained."""
 
@@ -118,6 +120,8 @@ class Parameters:
     def check(self, config: PCNDEConfig, n_times: int, n_points: int) -> None:
         """Raise if a vector's length does not fit the configuration and grid.
 
+        The pressure stages' vectors may be empty: such a model predicts no pressure.
+
         Raises
         ------
         InputError
@@ -125,7 +129,7 @@ class Parameters:
         """
         for stage, needed in sizes(config, n_times, n_points).items():
             found = getattr(self, stage).size
-            if found != needed:
+            if found != needed and not (found == 0 and stage in PRESSURE_STAGES):
                 raise InputError(
                     f"The {stage} parameters have {found} numbers, but {needed} are needed for "
                     f"{n_times} instants, {n_points} points and this configuration."

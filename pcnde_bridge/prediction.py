@@ -46,7 +46,7 @@ class Prediction:
     labels: pd.DataFrame = field(repr=False)
 
     def __len__(self) -> int:
-        return self.flow.shape[0]
+        return len(self.flow)
 
     def variables(self) -> dict[str, Array]:
         """Return the predicted variables by name, without those that are missing."""

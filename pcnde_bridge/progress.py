@@ -84,4 +84,5 @@ class TrainingProgress:
                 f"{where}: iteration {self._done} of {self._total}, loss {iteration.loss:.3e}, "
                 f"elapsed {elapsed:.0f} s, remaining {left:.0f} s",
                 highlight=False,
+                soft_wrap=True,
             )

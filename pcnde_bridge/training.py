@@ -106,7 +106,7 @@ def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
 
 
 def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
-    """Iterations of all stages, if no fit ends early."""
+    """Count the iterations of all stages, if no fit ends early."""
     flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every
     area = config.intermediate_area.iterations + config.fourier_area.iterations
     return (
@@ -176,7 +176,7 @@ class Trainer:
         self._engine = engine
         self._grid = Grid(cases.time, cases.z, cases.period)
         self._checkpoint = None if checkpoint is None else Path(checkpoint)
-        self._on_record = on_record
+        self.on_record = on_record
 
     def start(self, seed: int) -> TrainingState:
         """First state of a run, or the checkpoint's if there is one.
@@ -218,7 +218,7 @@ class Trainer:
         began = time.perf_counter() - state.seconds
         try:
             for unit in units[state.finished :]:
-                record = _Recorder(began, self._on_record)
+                record = _Recorder(began, self.on_record)
                 parameters, couplings = state.parameters, state.couplings
                 if unit.work == "flow":
                     parameters = self._fit_flow(state, unit, area, record)

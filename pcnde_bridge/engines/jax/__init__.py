@@ -24,7 +24,11 @@ __all__ = ["JaxEngine"]
 _Inputs = tuple[jax.Array, ...]
 _Grid = tuple[jax.Array, jax.Array]
 _Result = tuple[jax.Array, jax.Array]
-_ALWAYS = True
+
+
+def _solved() -> jax.Array:
+    """Say that an explicit formula always has a result."""
+    return jnp.asarray(True)
 
 
 def _flow(
@@ -37,25 +41,29 @@ def _flow(
 def _intermediate_area(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
-    return area.intermediate(parameters, *inputs, *grid, config), jnp.asarray(_ALWAYS)
+    q, s_u = inputs
+    return area.intermediate(parameters, q, s_u, grid[0], grid[1], config), _solved()
 
 
 def _fourier_area(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
-    return area.fourier(parameters, *inputs, *grid, config), jnp.asarray(_ALWAYS)
+    q, initial_area = inputs
+    return area.fourier(parameters, q, initial_area, grid[0], grid[1], config), _solved()
 
 
 def _temporal_pressure(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
-    return pressure.temporal(parameters, *inputs, config), jnp.asarray(_ALWAYS)
+    q, s, s_u = inputs
+    return pressure.temporal(parameters, q, s, s_u, config), _solved()
 
 
 def _spatial_pressure(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
-    return pressure.spatial(parameters, *inputs, grid[0], config), jnp.asarray(_ALWAYS)
+    first_stage, q, s_u = inputs
+    return pressure.spatial(parameters, first_stage, q, s_u, grid[0], config), _solved()
 
 
 class JaxEngine:

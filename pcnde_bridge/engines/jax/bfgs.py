@@ -80,12 +80,12 @@ def minimise(
         if not gradient @ direction < 0:
             inverse_hessian, direction = _InverseHessian(gradient, settings), -gradient
         try:
-            step = _backtrack(value, x, direction, loss, gradient @ direction, settings)
+            step = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
         except _LineSearchError:
             # Optim.jl forgets the curvature and tries steepest descent once.
             inverse_hessian, direction = _InverseHessian(gradient, settings), -gradient
             try:
-                step = _backtrack(value, x, direction, loss, gradient @ direction, settings)
+                step = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
             except _LineSearchError:
                 message = "line search found no lower loss"
                 break

@@ -14,6 +14,8 @@ grid points, so that part is computed once on the grid and interpolated.
 
 from __future__ import annotations
 
+from typing import Any
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -67,7 +69,7 @@ def solve(
     on_grid = jnp.moveaxis(area, 2, 0) @ first[n_times:] + first_bias + inflow @ from_flow
     along_bias, along_hidden = last_bias @ from_flow, last @ from_flow
 
-    def hidden(position: jax.Array, state: jax.Array, _: None) -> jax.Array:
+    def hidden(position: Any, state: jax.Array, _: None) -> jax.Array:
         i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
         share = (position - z[i]) / (z[i + 1] - z[i])
         drive = (1 - share) * on_grid[i] + share * on_grid[i + 1]

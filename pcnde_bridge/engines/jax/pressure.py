@@ -107,12 +107,13 @@ def _drop(
     flow: jax.Array, area_undeformed: jax.Array, coefficient: jax.Array | float, physics: Physics
 ) -> jax.Array:
     """Δp of Seeley and Young, dyn/cm²; the healthy area is the first point's."""
-    return pressure_drop(
+    drop: jax.Array = pressure_drop(
         flow,
         area_undeformed[..., :1],
         jnp.min(area_undeformed, axis=-1, keepdims=True),
         physics.stenosis_length,
         density=physics.density,
         viscosity=physics.viscosity,
-        turbulent_coefficient=coefficient,
+        turbulent_coefficient=coefficient,  # type: ignore[arg-type]
     )
+    return drop

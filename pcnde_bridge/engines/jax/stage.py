@@ -29,17 +29,13 @@ def double_precision() -> AbstractContextManager[Any]:
     """Context in which JAX computes in float64, leaving the user's own setting alone."""
     if hasattr(jax, "enable_x64"):
         return jax.enable_x64(True)  # type: ignore[no-any-return]
-    from jax.experimental import enable_x64
+    from jax.experimental import enable_x64  # type: ignore[attr-defined]
 
     return enable_x64()  # type: ignore[no-any-return]
 
 
 class Model(Protocol):
-    """A stage's equation for several cases at once.
-
-    ``weight`` (case,) is 0 for cases that only fill a batch.  Returns the
-    prediction (case, time, z) and whether it could be computed.
-    """
+    """A stage's equation for several cases at once."""
 
     def __call__(
         self,
@@ -48,7 +44,12 @@ class Model(Protocol):
         weight: jax.Array,
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
-    ) -> tuple[jax.Array, jax.Array]: ...
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the prediction (case, time, z) and whether it could be computed.
+
+        ``weight`` (case,) is 0 for cases that only fill a batch.
+        """
+        ...
 
 
 class JaxStage(Generic[InputsT]):
@@ -162,7 +163,7 @@ class JaxStage(Generic[InputsT]):
             predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
             return predicted[0], solved
 
-        return jax.vmap(one)(*inputs)  # type: ignore[no-any-return]
+        return jax.vmap(one)(*inputs)
 
     def _loss(
         self,

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Any
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -22,7 +21,7 @@ _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 10.0
 _FIRST_ERROR = 1e-4
 
 
-class PIController(diffrax.AbstractStepSizeController[Any, Any]):  # type: ignore[misc]
+class PIController(diffrax.AbstractStepSizeController[Any, Any]):
     """Proportional-integral step control of an error measured by ``error_norm``.
 
     Attributes
@@ -31,7 +30,7 @@ class PIController(diffrax.AbstractStepSizeController[Any, Any]):  # type: ignor
         ``(t0, t1, y0, y1, y_error) -> scalar``; a step is accepted up to 1.
     """
 
-    error_norm: Callable[..., jax.Array] = eqx.field(static=False)
+    error_norm: Callable[..., jax.Array]
 
     def wrap(self, direction: Any) -> PIController:
         """Return the controller for an integration in the given direction."""

@@ -1,0 +1,279 @@
+"""The command line ``pcnde``.
+
+Exit codes: 0 good, 2 bad use or input, 1 failure, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from pcnde_bridge._version import __version__
+from pcnde_bridge.config import PRESETS, PCNDEConfig, resolve_config
+from pcnde_bridge.errors import FileError, InputError, PCNDEError
+from pcnde_bridge.files import atomic_write
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pcnde_bridge.cases import Cases
+    from pcnde_bridge.model import PCNDE
+
+app = typer.Typer(
+    help="One-dimensional blood-flow models that learn from 3D simulation (PCNDE).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+_out = Console()
+_notes = Console(stderr=True)
+
+
+class EngineChoice(str, Enum):
+    """Engines that ``--engine`` knows."""
+
+    auto = "auto"
+    julia = "julia"
+    jax = "jax"
+
+
+DataArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="DATA",
+        help="Folder in the authors' layout, a saved data set (.npz, .h5), or a name: published.",
+    ),
+]
+ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a fitted model.")]
+SplitOption = Annotated[
+    str,
+    typer.Option(
+        "--split",
+        help="'paper', 'none' (everything is training), or a JSON file "
+        '{"train": [[G, W], ...], "test": [...]}.',
+    ),
+]
+EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
+
+
+@app.command()
+def fit(
+    data: DataArgument,
+    out: Annotated[Path, typer.Option("--out", help="File for the fitted model.")],
+    split: SplitOption = "paper",
+    preset: Annotated[
+        str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
+    ] = "paper",
+    config: Annotated[
+        Path | None, typer.Option("--config", help="JSON file of settings that differ.")
+    ] = None,
+    engine: EngineOption = EngineChoice.auto,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")] = 0,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            "--checkpoint",
+            help="File that keeps the state of training; default OUT.checkpoint, "
+            "removed when the model is saved.",
+        ),
+    ] = None,
+) -> None:
+    """Train a model; an interrupted run continues when started again."""
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.model import PCNDE
+
+    settings = _settings(preset, config)
+    state = checkpoint or out.with_name(out.name + ".checkpoint")
+    sets = _split(load_cases(data), split)
+    if out.is_dir() or not out.parent.is_dir():
+        raise FileError(f"Cannot write {out}: give a file in an existing folder.")
+    if state.exists():
+        _notes.print(f"Continuing from {state}.", highlight=False, soft_wrap=True)
+    try:
+        model = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed, checkpoint=state)
+    except KeyboardInterrupt:
+        _notes.print(
+            f"\nInterrupted. The state of training is in {state}: run the same command again to "
+            "continue.",
+            highlight=False,
+            soft_wrap=True,
+        )
+        raise typer.Exit(130) from None
+    model.save(out)
+    if checkpoint is None:
+        state.unlink(missing_ok=True)
+    _print_errors(_errors(model, sets))
+    _out.print(f"Saved {out}.", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def evaluate(
+    model: ModelArgument,
+    data: DataArgument,
+    split: SplitOption = "paper",
+    engine: EngineOption = EngineChoice.auto,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Also write the errors to this file.")
+    ] = None,
+    per_case: Annotated[
+        Path | None, typer.Option("--csv", help="Also write the errors of every case.")
+    ] = None,
+) -> None:
+    """Print relative errors of a model on a data set."""
+    import pandas as pd
+
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.model import PCNDE
+
+    fitted = PCNDE.load(model, engine=engine.value)
+    sets = _split(load_cases(data), split)
+    tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
+    pooled = {name: _pooled(table) for name, table in tables.items()}
+    if json_file is not None:
+        with atomic_write(json_file) as temporary:
+            temporary.write_text(json.dumps(pooled, indent=1) + "\n", encoding="utf-8")
+    if per_case is not None:
+        with atomic_write(per_case) as temporary:
+            pd.concat(tables, names=["set"]).to_csv(temporary)
+    _print_errors(pooled)
+
+
+@app.command()
+def predict(
+    model: ModelArgument,
+    inflow: Annotated[
+        Path,
+        typer.Option("--inflow", help="CSV: time (s), then one column of Q (mL/s) for each case."),
+    ],
+    area: Annotated[
+        Path,
+        typer.Option("--area", help="CSV: z (cm), then one column of S_u (cm²) for each case."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Result: .csv (tidy), .npz or .h5 (a data set).")
+    ],
+    engine: EngineOption = EngineChoice.auto,
+) -> None:
+    """Predict flow, area and pressure for new inflows and vessels."""
+    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.tables import read_columns
+
+    if out.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
+        raise InputError(f"Cannot tell the format of {out}: it must end in .csv, .npz or .h5.")
+    fitted = PCNDE.load(model, engine=engine.value)
+    q = read_columns(inflow, "time", fitted.grid.time, "s")
+    s_u = read_columns(area, "z", fitted.grid.z, "cm")
+    prediction = fitted.predict(q, s_u)
+    if out.suffix == ".csv":
+        with atomic_write(out) as temporary:
+            prediction.to_frame().to_csv(temporary, index=False)
+    else:
+        prediction.to_cases().save(out)
+    cases = "case" if len(prediction) == 1 else "cases"
+    _out.print(f"Saved {len(prediction)} {cases} in {out}.", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def download(
+    folder: Annotated[
+        Path | None, typer.Option("--cache", help="Where to put the files; default the cache.")
+    ] = None,
+) -> None:
+    """Download the published data set (100 cases, about 50 MB)."""
+    from pcnde_bridge.datasets import download_published
+
+    _out.print(f"The data set is in {download_published(folder)}.", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def doctor() -> None:
+    """Tell what is usable on this machine, and what to do about the rest."""
+    from pcnde_bridge.doctor import examine
+
+    findings = examine()
+    table = Table("", "what", "found", "what to do", title=f"pcnde_bridge {__version__}")
+    for finding in findings:
+        table.add_row(
+            "[green]✓[/]" if finding.good else "[yellow]–[/]",
+            finding.what,
+            finding.found,
+            finding.advice,
+        )
+    _out.print(table)
+    if not any(finding.good for finding in findings if finding.is_engine):
+        raise PCNDEError("No engine is usable: nothing can be computed on this machine.")
+
+
+@app.callback(invoke_without_command=True)
+def _global_options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+) -> None:
+    logging.basicConfig(format="%(message)s", level=logging.DEBUG if verbose else logging.WARNING)
+    logging.getLogger("pcnde_bridge").setLevel(logging.DEBUG if verbose else logging.INFO)
+    for noisy in ("jax", "matplotlib"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    if version:
+        _out.print(__version__, highlight=False, soft_wrap=True)
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line, turning errors into messages and exit codes."""
+    try:
+        app()
+    except PCNDEError as error:
+        _fail(str(error), 2 if isinstance(error, InputError | FileError) else 1)
+    except BrokenPipeError:
+        # The reader of a pipe has gone; keep the interpreter from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _fail(message: str, code: int) -> None:
+    _notes.print("Error:", style="bold red", end=" ")
+    _notes.print(message, highlight=False, markup=False, soft_wrap=True)
+    sys.exit(code)
+
+
+def _settings(preset: str, path: Path | None) -> PCNDEConfig:
+    settings = resolve_config(preset)
+    if path is None:
+        return settings
+    try:
+        changes = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileError(f"Cannot read settings from {path}: {error}.") from error
+    if not isinstance(changes, dict):
+        raise InputError(f"{path} must hold a JSON object of settings.")
+    return settings.replace(**changes)
+
+
+def _split(cases: Cases, how: str) -> dict[str, Cases]:
+    return {"train": cases} if how == "none" else cases.split(how)._asdict()
+
+
+def _errors(model: PCNDE, sets: dict[str, Cases]) -> dict[str, dict[str, float]]:
+    return {name: _pooled(model.evaluate(cases)) for name, cases in sets.items()}
+
+
+def _pooled(table: pd.DataFrame) -> dict[str, float]:
+    return {str(variable): float(error) for variable, error in table.iloc[-1].items()}
+
+
+def _print_errors(errors: dict[str, dict[str, float]]) -> None:
+    variables = list(next(iter(errors.values())))
+    table = Table("relative error", *variables)
+    for name, row in errors.items():
+        table.add_row(name, *(f"{row[variable]:.4f}" for variable in variables))
+    _out.print(table)

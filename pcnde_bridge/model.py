@@ -1,0 +1,411 @@
+"""PCNDE: the model that is fitted to 3D simulations and predicts their 1D averages."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping
+from datetime import datetime, timezone
+from importlib.metadata import version as version_of
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge import history as histories
+from pcnde_bridge._version import __version__
+from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import PUBLISHED_CODE, PCNDEConfig, resolve_config
+from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines.base import Engine, Grid
+from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.history import Iteration
+from pcnde_bridge.inference import FlowAndArea, solve_flow_and_area, solve_pressure
+from pcnde_bridge.metrics import error_table
+from pcnde_bridge.parameters import STAGES, Parameters
+from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.published_weights import read_published_weights
+from pcnde_bridge.training import Trainer, TrainingState, count_iterations
+
+Array = npt.NDArray[np.float64]
+
+_KIND, _VERSION = "pcnde-model", 1
+_SAME_GRID = 1e-9
+
+
+class PCNDE:
+    """Physics-constrained coupled neural differential equations of one vessel type.
+
+    Made by :meth:`fit`, :meth:`load` or :meth:`from_published_weights`.
+
+    Attributes
+    ----------
+    config : PCNDEConfig
+        Settings of the fit.
+    parameters : Parameters
+        The learnt numbers.
+    grid : Grid
+        Instants (s), points (cm) and period (s) on which the model works.
+    engine : Engine
+        Computes the predictions.
+    provenance : dict
+        What is needed to run the fit again: seed, batches, data fingerprint,
+        engine, versions, time.
+    """
+
+    def __init__(
+        self,
+        config: PCNDEConfig,
+        parameters: Parameters,
+        grid: Grid,
+        engine: Engine,
+        provenance: Mapping[str, Any] | None = None,
+        history: tuple[Iteration, ...] = (),
+    ) -> None:
+        parameters.check(config, grid.time.size, grid.z.size)
+        self.config = config
+        self.parameters = parameters
+        self.grid = grid
+        self.engine = engine
+        self.provenance = dict(provenance or {})
+        self._history = history
+
+    @classmethod
+    def fit(
+        cls,
+        cases: Cases,
+        config: PCNDEConfig | str = "paper",
+        engine: EngineName | Engine = "auto",
+        seed: int = 0,
+        checkpoint: str | os.PathLike[str] | None = None,
+        progress: bool | Callable[[Iteration], None] = True,
+    ) -> PCNDE:
+        """Train on averaged 3D simulations, as section 2.4 of the paper does.
+
+        Parameters
+        ----------
+        cases : Cases
+            The training cases.
+        config : PCNDEConfig or str
+            Settings, or a preset's name.
+        engine : {'auto', 'julia', 'jax'} or Engine
+            Who computes; see :func:`pcnde_bridge.engines.select_engine`.
+        seed : int
+            Gives the first weights and the order of the batches.  The same seed
+            on the same machine and engine gives the same bits.
+        checkpoint : path-like, optional
+            File that keeps the state of training after every epoch.  If it
+            exists, training continues from it, to the same result as without
+            the interruption, bit for bit.  Ctrl-C writes it too.
+        progress : bool or callable
+            Show progress, or call with every
+            :class:`~pcnde_bridge.history.Iteration`.
+
+        Returns
+        -------
+        PCNDE
+            The fitted model.
+
+        Raises
+        ------
+        InputError
+            If cases and configuration do not fit together, or the checkpoint
+            belongs to another run.
+        FileError
+            If the checkpoint cannot be read or written.
+        EngineUnavailableError
+            If the engine asked for cannot be used.
+        SolveError
+            If an equation diverges.
+
+        Examples
+        --------
+        >>> from pcnde_bridge import PCNDE, load_cases
+        >>> train, test = load_cases("published").split("paper")  # doctest: +SKIP
+        >>> model = PCNDE.fit(train)  # doctest: +SKIP
+        >>> model.evaluate(test)  # doctest: +SKIP
+        """
+        if not isinstance(cases, Cases):
+            raise InputError(
+                f"PCNDE.fit needs a Cases, got {type(cases).__name__}. "
+                "Make one with load_cases(path) or Cases(flow=..., ...)."
+            )
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        settings = resolve_config(config)
+        on_record = progress if callable(progress) else None
+        trainer = Trainer(cases, settings, engine := select_engine(engine), checkpoint, on_record)
+        state = trainer.start(int(seed))
+        if progress is True:
+            total = count_iterations(settings, len(state.batches))
+            with TrainingProgress(total, len(state.history)) as bar:
+                trainer.on_record = bar
+                state = trainer.run(state)
+        else:
+            state = trainer.run(state)
+        provenance = _provenance(cases, state, engine)
+        grid = Grid(cases.time, cases.z, cases.period)
+        return cls(settings, state.parameters, grid, engine, provenance, state.history)
+
+    @classmethod
+    def from_published_weights(
+        cls,
+        folder: str | os.PathLike[str],
+        config: PCNDEConfig = PUBLISHED_CODE,
+        engine: EngineName | Engine = "auto",
+    ) -> PCNDE:
+        """Model with the authors' published weights of flow and area.
+
+        It works on the grid of the published data, with the published code's
+        form of the Fourier area, and solves at rtol 1e-6.  It predicts no
+        pressure: the weights behind the paper's pressure are not published.
+
+        Parameters
+        ----------
+        folder : path-like
+            Holds the ``.jld2`` files, itself or in ``trained_weights``.
+        config : PCNDEConfig
+            Settings; the published code's by default.
+        engine : {'auto', 'julia', 'jax'} or Engine
+            Who computes.
+
+        Raises
+        ------
+        FileError
+            If the files are missing or damaged.
+        """
+        from pcnde_bridge.authors import DT, DZ, PERIOD, SHAPE
+
+        if config is PUBLISHED_CODE:
+            config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
+        _, n_times, n_points = SHAPE
+        grid = Grid(DT * np.arange(float(n_times)), DZ * np.arange(float(n_points)), PERIOD)
+        parameters = read_published_weights(folder)
+        return cls(config, parameters, grid, select_engine(engine), {"source": "published weights"})
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """Every iteration of the fit: stage, epoch, batch, iteration, loss, seconds."""
+        return histories.to_frame(self._history)
+
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the pressure stages are there."""
+        return self.parameters.temporal_pressure.size > 0
+
+    def predict(
+        self,
+        inflow: npt.ArrayLike | Cases,
+        area_undeformed: npt.ArrayLike | None = None,
+    ) -> Prediction:
+        """Predict flow, area and pressure.
+
+        Parameters
+        ----------
+        inflow : array of shape (case, time) or (time,), or Cases
+            Q at the inlet, mL/s, at the model's instants (:attr:`grid`); from
+            cases, their flow at the first point.
+        area_undeformed : array of shape (case, z) or (z,)
+            S_u, cm², at the model's points.  One waveform goes with many
+            geometries and the other way round.
+
+        Returns
+        -------
+        Prediction
+            Arrays (case, time, z), and ``to_frame()``.
+
+        Raises
+        ------
+        InputError
+            If shapes or the grid are not the model's, or a value is not usable.
+        SolveError
+            If the momentum equation diverges for an input.
+        """
+        if isinstance(inflow, Cases):
+            if area_undeformed is not None:
+                raise InputError("Give cases, or inflow and area_undeformed, not both.")
+            cases = inflow
+            self._check_grid(cases)
+            return self._predict(cases.inflow, cases.area_undeformed, cases.labels)
+        if area_undeformed is None:
+            raise InputError("predict needs area_undeformed beside the inflow.")
+        q = _rows("inflow", inflow, self.grid.time.size, "instants")
+        s_u = _rows("area_undeformed", area_undeformed, self.grid.z.size, "points")
+        if (s_u <= 0).any():
+            case, point = np.argwhere(s_u <= 0)[0]
+            raise InputError(
+                f"area_undeformed[{case}, {point}] is {s_u[case, point]}; areas are positive (cm²)."
+            )
+        try:
+            count = np.broadcast_shapes(q.shape[:1], s_u.shape[:1])[0]
+        except ValueError:
+            raise InputError(
+                f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give as many of one "
+                "as of the other, or a single one."
+            ) from None
+        q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
+        s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
+        labels = pd.DataFrame({"case": np.arange(count)})
+        return self._predict(q, s_u, labels)
+
+    def _predict(self, inflow: Array, area_undeformed: Array, labels: pd.DataFrame) -> Prediction:
+        solved: FlowAndArea = solve_flow_and_area(
+            self.engine, self.parameters, inflow, area_undeformed, self.grid, self.config
+        )
+        pressure = None
+        if self.has_pressure:
+            pressure = solve_pressure(
+                self.engine, self.parameters, solved, area_undeformed, self.grid, self.config
+            )
+        return Prediction(
+            solved.flow,
+            solved.area,
+            pressure,
+            area_undeformed,
+            self.grid.time,
+            self.grid.z,
+            self.grid.period,
+            labels,
+        )
+
+    def evaluate(self, cases: Cases) -> pd.DataFrame:
+        """Relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
+
+        The area is compared without the first and last five points.
+
+        Parameters
+        ----------
+        cases : Cases
+            The truth.
+
+        Returns
+        -------
+        DataFrame
+            One row for each case, indexed by geometry and waveform, and a last
+            row ``("pooled", "pooled")`` over all cases, as in the paper's table;
+            a column for each predicted variable.
+
+        Raises
+        ------
+        InputError
+            If the cases' grid is not the model's.
+        """
+        return error_table(self.predict(cases).variables(), cases)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model into one file, atomically and without pickle.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
+        facts = {"config": self.config.to_dict(), "provenance": self.provenance}
+        arrays = {
+            "time": self.grid.time,
+            "z": self.grid.z,
+            "period": np.array(self.grid.period),
+            "history": histories.to_array(self._history),
+            **dict(self.parameters),
+        }
+        write_archive(path, _KIND, _VERSION, facts, arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> PCNDE:
+        """Read a model back.
+
+        Parameters
+        ----------
+        path : path-like
+            File written by :meth:`save`.
+        engine : {'auto', 'julia', 'jax'} or Engine
+            Who computes the predictions; need not be the engine of the fit.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, truncated, foreign, or of a newer version.
+        """
+        facts, arrays = read_archive(path, _KIND, _VERSION, "model")
+        try:
+            config = PCNDEConfig.from_dict(facts["config"])
+            parameters = Parameters(**{stage: arrays[stage] for stage in STAGES})
+            grid = Grid(arrays["time"], arrays["z"], float(arrays["period"]))
+            history = tuple(histories.from_array(arrays["history"]))
+            provenance = dict(facts["provenance"])
+            parameters.check(config, grid.time.size, grid.z.size)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FileError(f"{path} is not a whole model: {error}.") from error
+        return cls(config, parameters, grid, select_engine(engine), provenance, history)
+
+    def __repr__(self) -> str:
+        """Return the grid's size, engine and source."""
+        variables = "flow, area, pressure" if self.has_pressure else "flow, area"
+        return (
+            f"PCNDE({variables}; {self.grid.time.size} instants × {self.grid.z.size} points; "
+            f"engine {self.engine.name})"
+        )
+
+    def _check_grid(self, cases: Cases) -> None:
+        for name, mine, theirs in (
+            ("time", self.grid.time - self.grid.time[0], cases.time - cases.time[0]),
+            ("z", self.grid.z, cases.z),
+        ):
+            if mine.shape != theirs.shape:
+                raise InputError(
+                    f"The cases have {theirs.size} values of {name}, but the model was trained on "
+                    f"{mine.size}: bring the cases to the model's grid (model.grid.{name})."
+                )
+            if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
+                index = int(np.abs(mine - theirs).argmax())
+                raise InputError(
+                    f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
+                    f"model: bring the cases to the model's grid (model.grid.{name})."
+                )
+        if not math.isclose(self.grid.period, cases.period, rel_tol=1e-6):
+            raise InputError(
+                f"The cases' period is {cases.period:g} s, the model's {self.grid.period:g} s."
+            )
+
+
+def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:
+    """Validate (case, length) or (length,) and return the former."""
+    try:
+        array = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers: {error}") from error
+    if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
+        hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
+        raise InputError(
+            f"{name} must have the shape (case, {length}), {length} {of} as in the training data, "
+            f"got {np.shape(values)}.{hint}"
+        )
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        case, i = bad[0]
+        raise InputError(f"{name}[{case}, {i}] is {array[case, i]} ({len(bad)} such values).")
+    return array
+
+
+def _provenance(cases: Cases, state: TrainingState, engine: Engine) -> dict[str, Any]:
+    packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
+    return {
+        "seed": state.seed,
+        "batches": [[int(i) for i in batch] for batch in state.batches],
+        "cases": len(cases),
+        "cases_fingerprint": cases.fingerprint(),
+        "engine": engine.name,
+        "versions": {
+            "pcnde_bridge": __version__,
+            "python": platform.python_version(),
+            **packages,
+            **engine.versions,
+        },
+        "platform": platform.platform(),
+        "trained": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "seconds": state.seconds,
+    }

@@ -1,0 +1,70 @@
+"""CSV tables of waveforms and areas, as the command line takes them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge.errors import FileError, InputError
+
+Array = npt.NDArray[np.float64]
+
+
+def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit: str) -> Array:
+    """Read one column for each case, given at an axis that must be the model's.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV file whose first column is named ``axis``.
+    axis : str
+        ``"time"`` or ``"z"``.
+    expected : array of shape (n,)
+        Values that the axis must have.
+    unit : str
+        Of the axis, for messages.
+
+    Returns
+    -------
+    array of shape (case, n)
+        The other columns.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read as a table.
+    InputError
+        If a column is missing or not numeric, or the axis is another.
+    """
+    name = Path(path)
+    try:
+        frame = pd.read_csv(name)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise FileError(f"Cannot read a table from {name}: {error}.") from error
+    if frame.shape[1] < 2 or frame.columns[0] != axis:
+        raise InputError(
+            f"{name} must have the columns {axis}, then one for each case; it has "
+            f"{list(frame.columns)}."
+        )
+    for column in frame.columns:
+        if not pd.api.types.is_numeric_dtype(frame[column]) or frame[column].isna().any():
+            bad = pd.to_numeric(frame[column], errors="coerce").isna()
+            line = int(np.flatnonzero(bad)[0]) + 2 if bad.any() else 2
+            raise InputError(f"{name}, line {line}, column {column}: not a number.")
+    found = frame[axis].to_numpy(dtype=np.float64)
+    if len(found) != len(expected):
+        raise InputError(
+            f"{name} has {len(found)} rows, but the model works on {len(expected)} values of "
+            f"{axis} from {expected[0]:g} to {expected[-1]:g} {unit}: interpolate to these."
+        )
+    worst = int(np.abs(found - expected).argmax())
+    if abs(found[worst] - expected[worst]) > 1e-6 * (1 + np.abs(expected).max()):
+        raise InputError(
+            f"{name}, line {worst + 2}: {axis} is {found[worst]:g} {unit}, but the model works at "
+            f"{expected[worst]:g} {unit}: interpolate to its grid."
+        )
+    return np.ascontiguousarray(frame.iloc[:, 1:].to_numpy(dtype=np.float64).T)
