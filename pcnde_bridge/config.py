@@ -40,7 +40,7 @@ class _Section:
             if f.metadata.get("positive", False) and _smallest(checked) <= 0:
                 raise InputError(f"{type(self).__name__}.{f.name} must be positive: {value!r}.")
 
-    def replace(self: _Config, **changes: Any) -> _Config:
+    def replace(self: _Config, /, **changes: Any) -> _Config:
         """Copy with some settings changed; groups may be given as mappings.
 
         Parameters
@@ -93,7 +93,10 @@ def _checked(value: Any, hint: Any, where: str) -> Any:
             raise InputError(f"{where} must be a sequence, got {value!r}.")
         return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise InputError(f"{where} must be finite, got a larger number.") from None
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
     if isinstance(value, float) and not math.isfinite(value):
@@ -130,7 +133,7 @@ class Physics(_Section):
     wall_thickness: float = _positive(0.05)
     reference_pressure: float = _positive(133_322.0)
     stenosis_length: float = _positive(0.5)
-    stenosis_position: float = 2.0
+    stenosis_position: float = field(default=2.0, metadata={"signed": True})
     turbulent_coefficient: float = 1.52
 
 
@@ -192,7 +195,7 @@ class FlowStage(_Section):
     couple_every: int = _positive(25)
     rtol: float = _positive(1e-3)
     atol: float = _positive(1e-6)
-    first_step: float | None = None
+    first_step: float | None = _positive(None)
     max_steps: int = _positive(256)
     loss: Loss = "mean"
 
@@ -356,7 +359,7 @@ class PCNDEConfig(_Section):
         """
         try:
             settings = json.loads(text)
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"The configuration is not JSON: {error}.") from error
         return cls.from_dict(settings)
 

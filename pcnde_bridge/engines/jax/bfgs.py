@@ -163,6 +163,8 @@ def _backtrack(
             break
         before, step = step, step / 2
         loss_at = at(step)
+    else:
+        raise _LineSearchError
     for backtrack in range(settings.max_backtracks + 1):
         if loss_at <= loss + settings.sufficient_decrease * step * slope:
             return step
@@ -186,7 +188,10 @@ def _backtrack(
 
 def _cubic_minimum(a: float, b: float, excess_a: float, excess_b: float, slope: float) -> float:
     """Minimum of the cubic through the start, its slope, and two trial steps."""
-    scale = 1.0 / (a**2 * b**2 * (b - a)) if a != b else math.nan
+    volume = a**2 * b**2 * (b - a)
+    if volume == 0:
+        return math.nan
+    scale = 1.0 / volume
     cubic = (a**2 * excess_b - b**2 * excess_a) * scale
     square = (-(a**3) * excess_b + b**3 * excess_a) * scale
     if abs(cubic) <= np.finfo(float).eps:

@@ -1,0 +1,14 @@
+"""Make the README's figure: the hardest test case, predicted and true.
+
+python benchmarks/figure.py model.npz [docs/prediction.png]``.
+"""
+
+import sys
+
+from pcnde_bridge import PCNDE, load_cases
+from pcnde_bridge.plots import time_and_space
+
+model = PCNDE.load(sys.argv[1])
+cases = load_cases("published").select(geometry=10, waveform=9)
+figure = time_and_space(model.predict(cases), cases)
+figure.savefig(sys.argv[2] if len(sys.argv) > 2 else "docs/prediction.png", dpi=130)
