@@ -1,0 +1,72 @@
+import math
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.stenosis import (
+    diameter,
+    effective_length,
+    pressure_drop,
+    reynolds_number,
+    turbulent_drop,
+    viscous_coefficient,
+    viscous_drop,
+)
+
+HEALTHY, LENGTH = math.pi * 0.04, 0.5
+THROAT = 0.25 * HEALTHY
+FLOW = np.array([-2.0, -0.3, 0.7, 2.5])
+
+
+def test_printed_formula_for_forward_flow():
+    """The paper's equation to the letter, with Re in it."""
+    flow = FLOW[FLOW > 0]
+    d0 = 0.4
+    re = 1.06 * flow * d0 / (HEALTHY * 0.04)
+    k_v = 32 * LENGTH / d0 * (HEALTHY / THROAT) ** 2
+    dynamic = 1.06 * flow**2 / HEALTHY**2
+    printed = dynamic * k_v / re + 1.52 * dynamic / 2 * (HEALTHY / THROAT - 1) ** 2
+    np.testing.assert_allclose(pressure_drop(flow, HEALTHY, THROAT, LENGTH), printed, rtol=1e-13)
+    np.testing.assert_allclose(reynolds_number(flow, HEALTHY), re, rtol=1e-13)
+    assert viscous_coefficient(HEALTHY, THROAT, LENGTH) == pytest.approx(k_v, rel=1e-13)
+    assert diameter(HEALTHY) == pytest.approx(d0, rel=1e-15)
+
+
+def test_parts_sum_to_the_whole():
+    whole = pressure_drop(FLOW, HEALTHY, THROAT, LENGTH)
+    parts = viscous_drop(FLOW, HEALTHY, THROAT, LENGTH) + turbulent_drop(FLOW, HEALTHY, THROAT)
+    np.testing.assert_array_equal(whole, parts)
+
+
+def test_viscous_part_is_poiseuille_at_the_throat():
+    poiseuille = 8 * math.pi * 0.04 * LENGTH * FLOW / THROAT**2
+    np.testing.assert_allclose(viscous_drop(FLOW, HEALTHY, THROAT, LENGTH), poiseuille, rtol=1e-13)
+
+
+def test_reversed_flow_reverses_the_drop_and_rest_has_none():
+    forward = pressure_drop(FLOW, HEALTHY, THROAT, LENGTH)
+    np.testing.assert_array_equal(pressure_drop(-FLOW, HEALTHY, THROAT, LENGTH), -forward)
+    assert pressure_drop(0.0, HEALTHY, THROAT, LENGTH) == 0.0
+    assert pressure_drop(0.0, HEALTHY, HEALTHY, LENGTH) == 0.0
+
+
+def test_shapes_broadcast():
+    flow = np.linspace(0.1, 2.0, 12).reshape(3, 4)
+    throats = np.array([0.02, 0.05, 0.1])[:, None]
+    drop = pressure_drop(flow, HEALTHY, throats, LENGTH)
+    assert drop.shape == (3, 4)
+    assert drop[1, 2] == pytest.approx(pressure_drop(flow[1, 2], HEALTHY, 0.05, LENGTH))
+
+
+def test_same_and_differentiable_on_jax_arrays():
+    jax = pytest.importorskip("jax")
+    ours = pressure_drop(jax.numpy.asarray(FLOW), HEALTHY, THROAT, LENGTH)
+    np.testing.assert_allclose(
+        np.asarray(ours), pressure_drop(FLOW, HEALTHY, THROAT, LENGTH), rtol=1e-5
+    )
+    slope = jax.grad(lambda q: pressure_drop(q, HEALTHY, THROAT, LENGTH))(0.0)
+    assert slope == pytest.approx(viscous_drop(1.0, HEALTHY, THROAT, LENGTH), rel=1e-5)
+
+
+def test_effective_length():
+    assert effective_length(10.0, 5.0) == pytest.approx(8.3 + 1.64 * math.sqrt(20 / math.pi))

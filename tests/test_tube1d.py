@@ -1,0 +1,384 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.stenosis import pressure_drop
+from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
+from pcnde_bridge.vessel import Stenosis, Vessel
+from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall, OlufsenWall
+from pcnde_bridge.waveform import Waveform, coronary
+
+pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.cases.UnitsWarning")
+
+RESISTANCE = 109_237.0
+STIFF = LinearWall(young_modulus=1e13)
+HEALTHY = math.pi * 0.04
+
+
+def straight(length, n_points, area=HEALTHY, n_cases=1):
+    return np.linspace(0.0, length, n_points), np.full((n_cases, n_points), area)
+
+
+def relative(ours, theirs):
+    return np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)
+
+
+# ---- analytic solutions --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile_exponent", [2.0, 9.0])
+def test_poiseuille_drop_in_a_rigid_tube(profile_exponent):
+    z, area = straight(4.0, 21, n_cases=2)
+    tube = Tube1D(wall=STIFF, profile_exponent=profile_exponent, n_times=4, steps=20)
+    flow = np.array([0.5, 2.0])
+    cases = tube.solve(z, area, [Waveform(q) for q in flow], Windkessel(RESISTANCE))
+    # 2(ζ + 2)πμQL/S², which is 8πμQL/S² for the parabola.
+    per_length = 2 * (profile_exponent + 2) * math.pi * 0.04 * flow / HEALTHY**2
+    expected = RESISTANCE * flow[:, None] + per_length[:, None] * (4.0 - z)
+    np.testing.assert_allclose(cases.pressure[:, -1], expected, rtol=1e-6)
+    drop = cases.pressure[:, -1, 0] - cases.pressure[:, -1, -1]
+    np.testing.assert_allclose(drop, 4.0 * per_length, rtol=1e-4)
+
+
+def test_rigid_stenosis_without_loss_recovers_its_pressure():
+    """Convection alone is reversible: −(1 + δ)ρ/2·Δ(Q²/S²) down, and up again."""
+    vessel = Vessel((Stenosis(0.6, length=1.0),))
+    tube = Tube1D(wall=STIFF, stenosis_loss="none", viscosity=1e-9, n_times=4, steps=20)
+    cases = tube.simulate([vessel], [Waveform(2.0)], Windkessel(RESISTANCE), n_points=201)
+    pressure = cases.pressure[0, -1]
+    dip = 4 / 3 * 1.06 / 2 * 4.0 * ((0.4 * HEALTHY) ** -2 - HEALTHY**-2)
+    assert pressure[0] - pressure[100] == pytest.approx(dip, rel=0.01)
+    assert abs(pressure[0] - pressure[-1]) < 1e-4 * dip
+
+
+@pytest.mark.parametrize(
+    "vessel",
+    [
+        Vessel((Stenosis(0.7),)),
+        Vessel((Stenosis(0.5, position=1.234, length=0.77), Stenosis(0.8, position=3.0))),
+    ],
+)
+def test_seeley_young_drop_comes_out_whole(vessel):
+    flow = 1.7
+    tube = Tube1D(wall=STIFF, n_times=4, steps=20)
+    cases = tube.simulate([vessel], [Waveform(flow)], Windkessel(RESISTANCE), n_points=201)
+    loss = sum(
+        pressure_drop(flow, HEALTHY, HEALTHY * (1 - s.blockage), s.length) for s in vessel.stenoses
+    )
+    healthy = vessel.length - sum(s.length for s in vessel.stenoses)
+    loss += 8 * math.pi * 0.04 * flow * healthy / HEALTHY**2
+    drop = cases.pressure[0, -1, 0] - cases.pressure[0, -1, -1]
+    assert drop == pytest.approx(loss, rel=1e-3)
+
+
+def test_outlet_keeps_resistance_and_distal_pressure():
+    outlet = Windkessel(np.array([5e4, 2e5]), distal_pressure=[0.0, 2e4])
+    tube = Tube1D(n_times=20, steps=100)
+    cases = tube.simulate([Vessel()] * 2, coronary().family([1.0, 0.5]), outlet, n_points=41)
+    expected = outlet.resistance[:, None] * cases.flow[:, :, -1]
+    expected += np.array([0.0, 2e4])[:, None]
+    np.testing.assert_allclose(cases.pressure[:, :, -1], expected, rtol=1e-12)
+
+
+def test_windkessel_has_its_impedance():
+    proximal, distal, capacitance, period = 2e4, 9e4, 2e-6, 1.0
+    waveform = Waveform(1.2, (0.5,), (0.0,), period)
+    tube = Tube1D(wall=STIFF, n_times=20, steps=400, cycles=6)
+    outlet = Windkessel(proximal, distal, capacitance, 1e3)
+    z, area = straight(1.0, 6)
+    pressure = tube.solve(z, area, [waveform], outlet).pressure[0, :, -1]
+    omega = 2 * math.pi / period
+    impedance = proximal + distal / (1 + 1j * omega * distal * capacitance)
+    wave = np.exp(1j * omega * np.arange(20) * period / 20)
+    expected = 1e3 + 1.2 * (proximal + distal) + (0.5 * impedance * wave).real
+    np.testing.assert_allclose(pressure, expected, rtol=1e-4)
+
+
+# A short pulse in a long tube of nearly no viscosity, so small that all is linear.
+PULSE_PERIOD, PULSE_LENGTH = 0.05, 40.0
+WAVE_SPEED = math.sqrt(5e6 / 2 / 1.06)
+IMPEDANCE = 1.06 * WAVE_SPEED / HEALTHY
+REFLECTIONS = {1.0: 0.0, 3.0: 0.5, 1 / 3: -0.5}  # outlet over impedance: (m − 1)/(m + 1)
+
+
+@pytest.fixture(scope="module")
+def pulses():
+    time = np.arange(200) * (PULSE_PERIOD / 200)
+    pulse = 0.01 * np.exp(-(((time - 0.005) / 0.0012) ** 2) / 2)
+    waveform = Waveform.from_samples(pulse, period=PULSE_PERIOD, n_terms=24)
+    z, area = straight(PULSE_LENGTH, 401, n_cases=len(REFLECTIONS))
+    tube = Tube1D(viscosity=1e-8, n_times=1000, steps=1000, cycles=1)
+    outlet = Windkessel(IMPEDANCE * np.array(list(REFLECTIONS)))
+    return tube.solve(z, area, [waveform] * len(REFLECTIONS), outlet)
+
+
+def peak(time, values):
+    """Instant and height of the largest value, by a parabola through three samples."""
+    k = int(np.argmax(np.abs(values)))
+    a, b, _ = np.polyfit(time[k - 1 : k + 2] - time[k], values[k - 1 : k + 2], 2)
+    return time[k] - b / (2 * a), values[k] - b**2 / (4 * a)
+
+
+def test_pulse_travels_at_the_wave_speed(pulses):
+    arrivals = [peak(pulses.time[:500], pulses.pressure[0, :500, i])[0] for i in (50, 300)]
+    assert 25.0 / (arrivals[1] - arrivals[0]) == pytest.approx(WAVE_SPEED, rel=2e-3)
+
+
+def test_pulse_has_the_characteristic_impedance(pulses):
+    _, height = peak(pulses.time[:500], pulses.pressure[0, :500, 100])
+    assert height == pytest.approx(0.01 * IMPEDANCE, rel=1e-2)
+
+
+def test_outlet_reflects_by_its_mismatch(pulses):
+    # At 20 cm the pulse passes at 18 ms, and comes back from the outlet at 44 ms.
+    middle, later = 200, pulses.time > 0.031
+    for pressure, expected in zip(pulses.pressure[:, :, middle], REFLECTIONS.values(), strict=True):
+        _, incident = peak(pulses.time[~later], pressure[~later])
+        _, reflected = peak(pulses.time[later][1:-1], pressure[later][1:-1])
+        assert reflected / incident == pytest.approx(expected, abs=5e-3)
+
+
+# ---- accuracy and conservation -------------------------------------------------------
+
+
+def order(solutions):
+    """Observed order from three solutions, each with half the step of the one before."""
+    coarse, middle, fine = solutions
+    return math.log2(np.linalg.norm(coarse - middle) / np.linalg.norm(middle - fine))
+
+
+@pytest.mark.parametrize("field", ["flow", "area", "pressure"])
+@pytest.mark.parametrize("runs", ["in_time", "in_space"])
+def test_second_order(runs, field, request):
+    solutions = [getattr(cases, field) for cases in request.getfixturevalue(runs)]
+    stride = [(s.shape[2] - 1) // 40 for s in solutions]
+    on_common_points = [s[:, :, ::k] for s, k in zip(solutions, stride, strict=True)]
+    assert order(on_common_points) == pytest.approx(2.0, abs=0.15)
+
+
+def order_study(steps, n_points):
+    vessel = Vessel((Stenosis(0.6, length=1.0),))
+    waveforms = coronary().family([1.0, 1.75])
+    tube = Tube1D(steps=steps, n_times=20)
+    return tube.simulate([vessel] * 2, waveforms, Windkessel(RESISTANCE), n_points=n_points)
+
+
+@pytest.fixture(scope="module")
+def in_time():
+    return [order_study(steps, 41) for steps in (100, 200, 400)]
+
+
+@pytest.fixture(scope="module")
+def in_space():
+    return [order_study(100, n_points) for n_points in (41, 81, 161)]
+
+
+def test_volume_is_conserved_and_the_cycle_is_periodic(in_time, in_space):
+    for cases in (*in_time, *in_space):
+        assert cases.labels["volume_balance"].max() < 1e-12
+        assert cases.labels["periodicity"].max() < 1e-10
+
+
+def test_volume_of_the_returned_cycle_balances(in_time):
+    """The data set itself obeys dV/dt = Q(0) − Q(L), as far as 20 instants can tell."""
+    cases = in_time[-1]
+    volume = trapezoid(cases.area, cases.z, axis=2)
+    frequency = 2j * np.pi * np.arange(11)
+    rate = np.fft.irfft(frequency * np.fft.rfft(volume, axis=1), n=20, axis=1)
+    net = cases.flow[:, :, 0] - cases.flow[:, :, -1]
+    assert relative(rate, net) < 0.02
+
+
+def test_area_and_pressure_obey_the_wall_law(in_time):
+    cases = in_time[0]
+    expected = LinearWall().pressure(cases.area, cases.area_undeformed[:, None])
+    np.testing.assert_allclose(cases.pressure, expected, rtol=1e-9)
+    np.testing.assert_allclose(cases.inflow[0], coronary().samples(20), atol=1e-9)
+
+
+def test_batch_does_not_change_a_case(in_time):
+    vessels = [Vessel((Stenosis(0.6, length=1.0),)), Vessel()]
+    waveforms = [coronary(), Waveform(0.3)]
+    tube = Tube1D(steps=100, n_times=20)
+    cases = tube.simulate(vessels, waveforms, Windkessel([RESISTANCE, 1e4]), n_points=41)
+    np.testing.assert_allclose(cases.flow[0], in_time[0].flow[0], rtol=1e-7)
+
+
+# ---- published examples --------------------------------------------------------------
+
+# Cases and expected pressures at the inlet from svOneDSolver's own tests
+# (SimVascular/svOneDSolver, tests/): 100 mL/s through a nearly rigid tube.
+SV_TUBE = Tube1D(
+    wall=OlufsenWall(1e15, -20.0, 1e9), stenosis_loss="effective_length", n_times=4, steps=100
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "outlet", "inlet_pressure", "outlet_pressure"),
+    [
+        ("tube_r", Windkessel(100.0), 11005.30965, 10000.0),
+        ("tube_r_Pd", Windkessel(100.0, distal_pressure=1000.0), 12005.30965, 11000.0),
+        ("tube_rcr", Windkessel(50.0, 50.0, 0.001), 11005.30965, 10000.0),
+        ("tube_rcr_Pd", Windkessel(50.0, 50.0, 0.001, 1000.0), 12005.30965, 11000.0),
+    ],
+)
+def test_svonedsolver_straight_tube(name, outlet, inlet_pressure, outlet_pressure):
+    z, area = straight(10.0, 51, area=1.0)
+    cases = SV_TUBE.solve(z, area, [Waveform(100.0)], outlet)
+    pressure = cases.pressure[0, -1]
+    assert pressure[0] - pressure[-1] == pytest.approx(inlet_pressure - outlet_pressure, rel=1e-3)
+    assert pressure[0] == pytest.approx(inlet_pressure, rel=1e-6)
+    assert pressure[-1] == pytest.approx(outlet_pressure, rel=1e-6)
+
+
+def test_svonedsolver_tube_with_stenosis():
+    """tube_stenosis_r: 10 cm each of 10, 5 and 10 cm²; 10150.68211 dyn/cm² at the inlet."""
+    z = np.linspace(0.0, 30.0, 151)
+    area = np.where((z > 10.0) & (z < 20.0), 5.0, 10.0)[None]
+    stenosis = Stenosis(0.5, position=15.0, length=10.0)
+    cases = SV_TUBE.solve(z, area, [Waveform(100.0)], Windkessel(100.0), stenoses=[[stenosis]])
+    pressure = cases.pressure[0, -1]
+    assert pressure[0] == pytest.approx(10150.68211, rel=1e-4)
+    assert pressure[0] - pressure[-1] == pytest.approx(150.68211, rel=1e-2)
+
+
+# ---- the baseline --------------------------------------------------------------------
+
+
+def test_solve_like_finds_outlet_and_stenosis():
+    vessels = [Vessel((Stenosis(0.7, position=1.8, length=1.0),)), Vessel()]
+    tube = Tube1D(n_times=20, steps=100)
+    truth = tube.simulate(vessels, coronary().family([1.0, 1.5]), Windkessel(9e4), n_points=41)
+    assert outlet_resistance(truth) == pytest.approx(9e4, rel=1e-9)
+    again = tube.solve_like(truth, stenosis_length=1.0)
+    for name in ("flow", "area", "pressure"):
+        assert relative(getattr(again, name), getattr(truth, name)) < 1e-4
+    assert list(again.labels) == list(truth.labels)
+
+
+@pytest.mark.data
+def test_the_papers_test_cases(published_cases):
+    """The paper's 1D FEM column is met by its own wall law less the factor 4/3."""
+    data = published_cases.split("paper").test
+    wall = LinearWall(0.75 * 1.5e7, reference_pressure=PAPER_REFERENCE_PRESSURE)
+    ours = Tube1D(wall=wall).solve_like(data)
+    errors = [
+        relative(ours.flow, data.flow),
+        relative(ours.area[:, :, 5:-5], data.area[:, :, 5:-5]),
+        relative(ours.pressure, data.pressure),
+    ]
+    np.testing.assert_allclose(errors, [0.0204, 0.0498, 0.0365], rtol=0.04)
+    assert ours.labels["periodicity"].max() < 1e-10
+    assert ours.labels["volume_balance"].max() < 1e-12
+
+
+# ---- bad input -----------------------------------------------------------------------
+
+Z, AREA = straight(4.0, 41, n_cases=2)
+WAVES = [Waveform(1.0, (0.2,), (0.0,))] * 2
+OUTLET = Windkessel(1e5)
+
+
+def with_value(array, index, value):
+    array = np.array(array)
+    array[index] = value
+    return array
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), -0.1), WAVES, OUTLET), r"\[1, 7\]"),
+        (lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), np.nan), WAVES, OUTLET), r"\[1, 7\]"),
+        (lambda: Tube1D().solve(Z, AREA[:, 1:], WAVES, OUTLET), r"shape \(n_cases, 41\)"),
+        (lambda: Tube1D().solve(Z[:3], AREA[:, :3], WAVES, OUTLET), r"too coarse"),
+        (lambda: Tube1D().solve(Z**2, AREA, WAVES, OUTLET), r"equal steps"),
+        (
+            lambda: Tube1D().simulate([Vessel((Stenosis(0.85),))], WAVES[:1], OUTLET, n_points=21),
+            r"too coarse: area_undeformed of case 0",
+        ),
+        (
+            lambda: Tube1D().simulate([Vessel((Stenosis(0.3),))], WAVES[:1], OUTLET, n_points=21),
+            r"too coarse: the stenosis of case 0",
+        ),
+        (lambda: Tube1D().solve(Z, AREA, WAVES[:1], OUTLET), r"1 waveforms for 2 cases"),
+        (lambda: Tube1D().solve(Z, AREA, [WAVES[0], 1.0], OUTLET), r"waveforms\[1\]"),
+        (
+            lambda: Tube1D().solve(Z, AREA, [WAVES[0], coronary(0.9)], OUTLET),
+            r"waveforms\[1\] has a period of 0.9 s",
+        ),
+        (
+            lambda: Tube1D(n_times=10, steps=60).solve(Z, AREA, [WAVES[0], coronary()], OUTLET),
+            r"time step is too long: waveforms\[1\] has 8 harmonics",
+        ),
+        (
+            lambda: Tube1D().solve(Z, AREA, [WAVES[0], Waveform(250.0)], OUTLET),
+            r"faster than the pulse wave.*case 1",
+        ),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel(-1.0)), r"resistance.*negative"),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel([1e5] * 3)), r"each of 2 cases"),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel([1e5, np.nan])), r"resistance\[1\]"),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, initial_pressure=-6e6),
+            r"initial_pressure.*collapse",
+        ),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[Stenosis(0.5)]]),
+            r"1 entries for 2 cases",
+        ),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[], [Stenosis(0.5, 4.0)]]),
+            r"stenosis of case 1 .* too close to the ends",
+        ),
+        (
+            lambda: Tube1D().solve(
+                Z, AREA, WAVES, OUTLET, labels={"geometry": [1, 1], "waveform": [0, 0]}
+            ),
+            r"two cases alike",
+        ),
+        (lambda: Tube1D().simulate([], [], OUTLET), r"no vessel"),
+        (
+            lambda: Tube1D().simulate([Vessel(), Vessel(length=5.0)], WAVES, OUTLET),
+            r"Vessel 1 is 5 cm",
+        ),
+        (lambda: Tube1D(steps=150), r"not a multiple of n_times"),
+        (lambda: Tube1D(steps=0), r"steps must be a whole number"),
+        (lambda: Tube1D(cycles=2.5), r"cycles must be a whole number"),
+        (lambda: Tube1D(density=-1.0), r"density must be positive"),
+        (lambda: Tube1D(viscosity=math.nan), r"viscosity must be positive"),
+        (lambda: Tube1D(wall=5e6), r"must be a wall law"),
+        (lambda: Tube1D(stenosis_loss="young"), r"stenosis_loss"),
+        (lambda: Tube1D(turbulent_coefficient=-1.0), r"turbulent_coefficient"),
+    ],
+)
+def test_bad_input_is_refused_before_computing(make, words, monkeypatch):
+    monkeypatch.setattr("pcnde_bridge.tube1d._run", lambda *_: pytest.fail("it computed"))
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_data_that_do_not_suit_the_solver(small_cases):
+    with pytest.raises(InputError, match=r"20 instants per cycle, the solver 100"):
+        Tube1D().solve_like(small_cases)
+
+
+def test_divergence_names_case_time_and_place():
+    """Blood is sucked out at 5 mL/s and cannot come back: 0.5 mL are gone after 0.1 s."""
+    waves = [Waveform(0.5), Waveform(-5.0)]
+    tube = Tube1D(n_times=20, steps=100)
+    labels = {"geometry": [3, 4], "waveform": [7, 8]}
+    with pytest.raises(
+        SolveError, match=r"Case 1 \(geometry 4, waveform 8\) diverged at t = 0\.1 s, near z = "
+    ):
+        tube.solve(Z, AREA, waves, Windkessel(1e7), labels=labels)
+
+
+def test_a_cycle_that_is_not_periodic_is_told(caplog):
+    tube = Tube1D(n_times=20, steps=100, cycles=2)
+    outlet = Windkessel(1e4, 1e5, 1e-4)  # a time constant of 10 s
+    cases = tube.solve(Z, AREA, WAVES, outlet)
+    assert cases.labels["periodicity"][0] > 1e-2
+    assert "use more cycles" in caplog.text

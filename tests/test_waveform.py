@@ -1,0 +1,131 @@
+import math
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.waveform import DATA_FACTORS, PRINTED_FACTORS, Waveform, coronary
+
+RNG = np.random.default_rng(4)
+
+
+@pytest.mark.parametrize("n", [3, 4, 99, 100])
+def test_series_passes_through_all_samples(n):
+    flow = RNG.normal(size=n)
+    waveform = Waveform.from_samples(flow, period=0.8, n_terms=None)
+    np.testing.assert_allclose(waveform.samples(n), flow, atol=1e-12)
+    np.testing.assert_allclose(waveform.flow([0.0, 0.8, -0.8]), flow[0], atol=1e-12)
+
+
+def test_coefficients_of_a_known_series():
+    t = np.arange(50) * (2.0 / 50)
+    flow = 1.5 + 0.3 * np.cos(math.pi * t) - 0.2 * np.sin(3 * math.pi * t)
+    waveform = Waveform.from_samples(flow, period=2.0, n_terms=4)
+    assert waveform.n_terms == 4
+    assert waveform.mean == pytest.approx(1.5)
+    np.testing.assert_allclose(waveform.cosine, [0.3, 0, 0, 0], atol=1e-14)
+    np.testing.assert_allclose(waveform.sine, [0, 0, -0.2, 0], atol=1e-14)
+
+
+def test_both_forms_of_the_family():
+    waveform = Waveform(1.0, (0.2, 0.1), (-0.3, 0.05))
+    printed = waveform.scaled(2.0, "printed")
+    assert printed.cosine == (0.4, 0.2)
+    assert printed.sine == waveform.sine
+    t = np.linspace(0, 1, 30)
+    scaled = waveform.scaled(-1.5)
+    np.testing.assert_allclose(scaled.flow(t) - 1.0, -1.5 * (waveform.flow(t) - 1.0), atol=1e-14)
+    assert waveform.scaled(1.0) == waveform == waveform.scaled(1.0, "printed")
+    np.testing.assert_allclose(waveform.scaled(0.0).flow(t), 1.0)
+    assert [w.mean for w in waveform.family()] == [1.0] * len(DATA_FACTORS)
+    assert len(waveform.family(PRINTED_FACTORS, "printed")) == 8
+
+
+def test_uneven_samples_are_joined_linearly():
+    time = [0.0, 0.1, 0.25, 0.6, 0.9]
+    flow = [1.0, 2.0, 1.2, 0.8, 0.9]
+    waveform = Waveform.from_samples(flow, time, period=1.0, n_terms=200)
+    assert waveform.flow(0.4) == pytest.approx(np.interp(0.4, time, flow), abs=0.02)
+    assert waveform.flow(0.95) == pytest.approx(0.95, abs=0.05)  # back to the start
+
+
+def test_repeated_end_of_the_cycle_is_not_counted_twice():
+    time = np.linspace(0.0, 1.0, 21)
+    waveform = Waveform.from_samples(np.cos(2 * math.pi * time), time, n_terms=None)
+    np.testing.assert_allclose(waveform.flow(time), np.cos(2 * math.pi * time), atol=1e-12)
+
+
+def test_coronary_is_positive_and_physiological():
+    waveform = coronary()
+    flow = waveform.samples(1000)
+    assert waveform.n_terms == 9
+    assert waveform.mean == pytest.approx(1.283)
+    assert 0.4 < flow.argmax() / 1000 < 0.6
+    assert all(w.samples(1000).min() > 0 for w in waveform.family())
+
+
+def test_reynolds_and_womersley_numbers():
+    waveform = Waveform(1.0, (0.5,), (0.0,))
+    by_hand = 1.06 * 1.5 * 0.4 / (math.pi * 0.04 * 0.04)
+    assert waveform.reynolds(0.4) == pytest.approx(by_hand, rel=1e-12)
+    assert waveform.womersley(0.4) == pytest.approx(
+        0.2 * math.sqrt(2 * math.pi * 1.06 / 0.04), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["time,flow\n0,1\n0.25,2\n0.5,1\n0.75,0\n", "0,1\n0.25,2\n0.5,1\n0.75,0", "1\n2\n1\n0"]
+)
+def test_csv(tmp_path, text):
+    path = tmp_path / "wave.csv"
+    path.write_text(text)
+    waveform = Waveform.from_csv(path)
+    np.testing.assert_allclose(waveform.samples(4), [1, 2, 1, 0], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "words"),
+    [
+        ("time,flow\n", FileError, "no numbers"),
+        ("", FileError, "no numbers"),
+        ("0,1\n0.5,x\n", FileError, "row 2"),
+        ("0,1,2\n", FileError, "row 1"),
+        ("0,1\n0.5\n", FileError, "columns"),
+        ("0,1\n0.5,nan\n0.7,1\n", InputError, r"flow\[1\] is nan"),
+        ("0,1\n0.5,2\n0.4,1\n", InputError, r"time\[2\]"),
+        ("0,1\n0.5,2\n1.4,1\n", InputError, "longer than the period"),
+    ],
+)
+def test_bad_csv(tmp_path, text, error, words):
+    path = tmp_path / "wave.csv"
+    path.write_text(text)
+    with pytest.raises(error, match=words):
+        Waveform.from_csv(path)
+
+
+def test_missing_csv(tmp_path):
+    with pytest.raises(DataNotFoundError, match=r"none\.csv"):
+        Waveform.from_csv(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Waveform(math.nan), r"mean must be finite"),
+        (lambda: Waveform(1.0, (1.0, math.inf), (0.0, 0.0)), r"cosine\[1\]"),
+        (lambda: Waveform(1.0, (1.0,), ()), r"1 terms and sine 0"),
+        (lambda: Waveform(1.0, period=0.0), r"period must be positive"),
+        (lambda: Waveform.from_samples([1.0, np.nan, 2.0]), r"flow\[1\] is nan"),
+        (lambda: Waveform.from_samples([1.0, 2.0]), r"at least 3"),
+        (lambda: Waveform.from_samples([[1.0, 2.0]]), r"one dimension"),
+        (lambda: Waveform.from_samples(["a", "b", "c"]), r"numbers"),
+        (lambda: Waveform.from_samples([1, 2, 3], [0, 1]), r"as many of both"),
+        (lambda: Waveform.from_samples([1, 2, 3], period=-1), r"period must be positive"),
+        (lambda: Waveform.from_samples([1, 2, 3], n_terms=-1), r"n_terms"),
+        (lambda: coronary().scaled(math.nan), r"factor must be finite"),
+        (lambda: coronary().scaled(1.0, "sine"), r"'oscillation' or 'printed'"),
+    ],
+)
+def test_bad_input(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
