@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.files import atomic_write
 
-_HEADER = "header"
+_HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
 
 
@@ -47,9 +47,13 @@ def write_archive(
     FileError
         If the file cannot be written.
     """
-    header = json.dumps({"format": kind, "format_version": version, **facts})
+    if any(array.dtype.hasobject for array in arrays.values()):
+        raise TypeError("an archive holds no Python objects")
+    names = {"format": kind, "format_version": version, _NAMES: list(arrays)}
+    header = json.dumps({**names, **facts})
     with atomic_write(path) as temporary, temporary.open("wb") as handle:
-        np.savez(handle, allow_pickle=False, **{_HEADER: np.array(header)}, **arrays)
+        named: dict[str, Any] = {_HEADER: np.array(header), **arrays}
+        np.savez(handle, **named)
 
 
 def read_archive(
@@ -100,7 +104,13 @@ def read_archive(
                     f"one reads up to {version}). Upgrade the package: "
                     "pip install --upgrade pcnde-bridge."
                 )
+            # A damaged length in an array's own header would end its reading before the
+            # checksum is compared, and a damaged table of contents would hide arrays.
+            if (damaged := archive.zip.testzip()) is not None:
+                raise zipfile.BadZipFile(f"bad checksum of {damaged}")
             arrays = {key: archive[key] for key in archive.files if key != _HEADER}
+            if set(arrays) != set(facts.pop(_NAMES, arrays)):
+                raise zipfile.BadZipFile("arrays are missing")
     except FileError:
         raise
     except FileNotFoundError as error:

@@ -252,7 +252,7 @@ def _settings(preset: str, path: Path | None) -> PCNDEConfig:
         return settings
     try:
         changes = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FileError(f"Cannot read settings from {path}: {error}.") from error
     if not isinstance(changes, dict):
         raise InputError(f"{path} must hold a JSON object of settings.")

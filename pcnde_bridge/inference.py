@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -14,19 +12,13 @@ from pcnde_bridge.engines.base import (
     FourierAreaInputs,
     Grid,
     IntermediateAreaInputs,
+    Solution,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
 from pcnde_bridge.parameters import Parameters
 
 Array = npt.NDArray[np.float64]
-
-
-class FlowAndArea(NamedTuple):
-    """Flow (mL/s) and area (cm²), (case, time, z)."""
-
-    flow: Array
-    area: Array
 
 
 def undeformed(area_undeformed: Array, n_times: int) -> Array:
@@ -61,41 +53,45 @@ def solve_area(
     )
 
 
-def solve_flow_and_area(
+def predict_by_stages(
     engine: Engine,
     parameters: Parameters,
     inflow: Array,
     area_undeformed: Array,
     grid: Grid,
     config: PCNDEConfig,
-) -> FlowAndArea:
-    """All coupling passes, from Q_in (case, time) and S_u (case, z)."""
+) -> Solution:
+    """Predict with the engine's stages, one after the other.
+
+    Parameters
+    ----------
+    engine : Engine
+        Computes.
+    parameters : Parameters
+        Of a trained model.
+    inflow : array of shape (case, time)
+        Q_in, mL/s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    grid, config
+        Of the model.
+    """
     area = undeformed(area_undeformed, inflow.shape[1])
     for _ in range(config.coupling_passes):
         flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), grid, config)
         area = solve_area(engine, parameters, flow, area_undeformed, grid, config)
-    return FlowAndArea(flow, area)
-
-
-def solve_pressure(
-    engine: Engine,
-    parameters: Parameters,
-    solved: FlowAndArea,
-    area_undeformed: Array,
-    grid: Grid,
-    config: PCNDEConfig,
-) -> Array:
-    """Both pressure stages: p (case, time, z), dyn/cm²."""
+    if not parameters.has_pressure:
+        return Solution(flow, area, None)
     temporal = engine.temporal_pressure.solve(
         parameters.temporal_pressure,
-        TemporalPressureInputs(solved.flow, solved.area, area_undeformed),
+        TemporalPressureInputs(flow, area, area_undeformed),
         grid,
         config,
     )
     relative = engine.spatial_pressure.solve(
         parameters.spatial_pressure,
-        SpatialPressureInputs(temporal, solved.flow, area_undeformed),
+        SpatialPressureInputs(temporal, flow, area_undeformed),
         grid,
         config,
     )
-    return relative * config.physics.reference_pressure
+    return Solution(flow, area, relative * config.physics.reference_pressure)

@@ -79,6 +79,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
         Indexed by ``geometry`` and ``waveform``, with a column for each variable;
         the last row, labelled ``("pooled", "pooled")``, pools all cases.
     """
+    pooled = pooled_errors(predicted, cases)
     rows = [
         {
             variable: relative_error(
@@ -90,4 +91,4 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame([*rows, pooled_errors(predicted, cases)], index=index)
+    return pd.DataFrame([*rows, pooled], index=index)

@@ -23,7 +23,6 @@ from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine, Grid
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.history import Iteration
-from pcnde_bridge.inference import FlowAndArea, solve_flow_and_area, solve_pressure
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.parameters import STAGES, Parameters
 from pcnde_bridge.prediction import Prediction
@@ -195,7 +194,7 @@ class PCNDE:
     @property
     def has_pressure(self) -> bool:
         """Whether the pressure stages are there."""
-        return self.parameters.temporal_pressure.size > 0
+        return self.parameters.has_pressure
 
     def predict(
         self,
@@ -253,18 +252,11 @@ class PCNDE:
         return self._predict(q, s_u, labels)
 
     def _predict(self, inflow: Array, area_undeformed: Array, labels: pd.DataFrame) -> Prediction:
-        solved: FlowAndArea = solve_flow_and_area(
-            self.engine, self.parameters, inflow, area_undeformed, self.grid, self.config
+        solution = self.engine.predict(
+            self.parameters, inflow, area_undeformed, self.grid, self.config
         )
-        pressure = None
-        if self.has_pressure:
-            pressure = solve_pressure(
-                self.engine, self.parameters, solved, area_undeformed, self.grid, self.config
-            )
         return Prediction(
-            solved.flow,
-            solved.area,
-            pressure,
+            *solution,
             area_undeformed,
             self.grid.time,
             self.grid.z,
@@ -338,7 +330,7 @@ class PCNDE:
             history = tuple(histories.from_array(arrays["history"]))
             provenance = dict(facts["provenance"])
             parameters.check(config, grid.time.size, grid.z.size)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise FileError(f"{path} is not a whole model: {error}.") from error
         return cls(config, parameters, grid, select_engine(engine), provenance, history)
 

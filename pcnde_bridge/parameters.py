@@ -102,6 +102,15 @@ class Parameters:
             vector.flags.writeable = False
             object.__setattr__(self, f.name, vector)
 
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the pressure stages' vectors are there."""
+        return self.temporal_pressure.size > 0
+
+    def without_pressure(self) -> Parameters:
+        """Copy for flow and area alone."""
+        return self.replace(**{stage: np.empty(0) for stage in PRESSURE_STAGES})
+
     def __iter__(self) -> Iterator[tuple[str, Array]]:
         return ((name, getattr(self, name)) for name in STAGES)
 

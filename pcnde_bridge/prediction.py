@@ -76,6 +76,8 @@ class Prediction:
     def to_cases(self) -> Cases:
         """Return the prediction as a data set.
 
+        Of arrays, each case is a geometry of its own, under waveform 0.
+
         Raises
         ------
         InputError
@@ -83,6 +85,9 @@ class Prediction:
         """
         if self.pressure is None:
             raise InputError("The model has no pressure stages, so this is not a whole data set.")
+        labels = self.labels
+        if "geometry" not in labels:
+            labels = labels.assign(geometry=np.arange(len(self)), waveform=0)
         return Cases(
             self.flow,
             self.area,
@@ -91,5 +96,5 @@ class Prediction:
             self.time,
             self.z,
             period=self.period,
-            labels=self.labels,
+            labels=labels,
         )

@@ -48,7 +48,8 @@ def read_published_weights(folder: str | os.PathLike[str]) -> Parameters:
     folder = inner if inner.is_dir() else folder
     needed = sizes(PUBLISHED_CODE, *SHAPE[1:])
     vectors = {stage: _read(folder / name, needed[stage]) for stage, name in FILES.items()}
-    return Parameters(**vectors, temporal_pressure=np.empty(0), spatial_pressure=np.empty(0))
+    none = np.empty(0)
+    return Parameters(**vectors, temporal_pressure=none, spatial_pressure=none)
 
 
 def _read(path: Path, size: int) -> Array:

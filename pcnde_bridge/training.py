@@ -34,7 +34,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.history import Iteration
-from pcnde_bridge.inference import initial_area, solve_area, solve_flow_and_area, undeformed
+from pcnde_bridge.inference import initial_area, solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, Parameters, initial_parameters
 
 Array = npt.NDArray[np.float64]
@@ -304,8 +304,8 @@ class Trainer:
             state.parameters,
         )
         target = cases.pressure / config.physics.reference_pressure
-        solved = solve_flow_and_area(
-            engine, parameters, cases.inflow, cases.area_undeformed, self._grid, config
+        solved = engine.predict(
+            parameters.without_pressure(), cases.inflow, cases.area_undeformed, self._grid, config
         )
         inputs = TemporalPressureInputs(solved.flow, solved.area, cases.area_undeformed)
         if unit.work == "temporal_pressure":
@@ -386,7 +386,7 @@ class Trainer:
                 finished=facts["finished"],
                 history=tuple(histories.from_array(arrays["history"])),
             )
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise FileError(f"{path} is not a whole checkpoint: {error!r}.") from error
         if not same_cases:
             raise InputError(

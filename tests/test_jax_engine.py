@@ -21,6 +21,7 @@ from pcnde_bridge.engines.base import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.stenosis import pressure_drop
 
@@ -129,7 +130,7 @@ def test_intermediate_area_is_what_tsit5_gives_with_a_step_for_each_instant(
     import diffrax
     import jax.numpy as jnp
 
-    from pcnde_bridge.engines.jax.stage import double_precision
+    from pcnde_bridge.precision import double_precision
 
     a, b = np.split(parameters.intermediate_area, 2)
     inputs, _ = stage_case("intermediate_area", small_cases)
@@ -320,3 +321,21 @@ def test_the_users_jax_precision_stays_as_it_was():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("anchor", ["last_instant", "last_cycle", "undeformed"])
+def test_predict_is_the_five_stages_in_their_order(engine, grid, parameters, small_cases, anchor):
+    config = PUBLISHED_CODE.replace(fourier_area={"anchor": anchor})
+    given = (parameters, small_cases.inflow, small_cases.area_undeformed, grid, config)
+    for fused, staged in zip(
+        engine.predict(*given), predict_by_stages(engine, *given), strict=True
+    ):
+        np.testing.assert_allclose(fused, staged, rtol=1e-6, atol=1e-7 * np.abs(staged).max())
+
+
+def test_predict_without_pressure_stages(engine, grid, parameters, small_cases):
+    given = (small_cases.inflow, small_cases.area_undeformed, grid, PUBLISHED_CODE)
+    whole = engine.predict(parameters, *given)
+    bare = engine.predict(parameters.without_pressure(), *given)
+    assert bare.pressure is None
+    np.testing.assert_allclose(bare.area, whole.area, rtol=1e-12)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.parameters import Parameters
 
 Array = npt.NDArray[np.float64]
 
@@ -144,6 +145,22 @@ class Fit:
     message: str
 
 
+class Solution(NamedTuple):
+    """What a whole model predicts.
+
+    Attributes
+    ----------
+    flow, area : array of shape (case, time, z)
+        Q, mL/s, and S, cm².
+    pressure : array of shape (case, time, z) or None
+        p, dyn/cm²; None if the parameters have no pressure stages.
+    """
+
+    flow: Array
+    area: Array
+    pressure: Array | None
+
+
 OnIteration = Callable[[int, float], None]
 """Called with the iteration's number, from 1, and its loss; it may raise to stop."""
 
@@ -202,7 +219,7 @@ class Stage(Protocol[InputsT]):
 
 
 class Engine(Protocol):
-    """A computing engine.
+    """A computing engine: the five stages, and all of them in their order.
 
     Attributes
     ----------
@@ -244,4 +261,33 @@ class Engine(Protocol):
     @property
     def spatial_pressure(self) -> Stage[SpatialPressureInputs]:
         """Pressure drop along the vessel."""
+        ...
+
+    def predict(
+        self,
+        parameters: Parameters,
+        inflow: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+    ) -> Solution:
+        """Run all coupling passes and the pressure stages, every case on its own.
+
+        The same as :func:`pcnde_bridge.inference.predict_by_stages`, which an
+        engine may simply call, or do quicker.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            Of a trained model.
+        inflow : array of shape (case, time)
+            Q_in, mL/s.
+        area_undeformed : array of shape (case, z)
+            S_u, cm².
+
+        Raises
+        ------
+        SolveError
+            If the momentum equation cannot be integrated to the end.
+        """
         ...

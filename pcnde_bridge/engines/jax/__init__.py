@@ -10,14 +10,19 @@ import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.base import (
+    Array,
     FlowInputs,
     FourierAreaInputs,
+    Grid,
     IntermediateAreaInputs,
+    Solution,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.jax import area, flow, pressure
-from pcnde_bridge.engines.jax.stage import JaxStage
+from pcnde_bridge.engines.jax import area, flow, inference, pressure
+from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
+from pcnde_bridge.parameters import Parameters
+from pcnde_bridge.precision import double_precision
 
 __all__ = ["JaxEngine"]
 
@@ -63,7 +68,8 @@ def _spatial_pressure(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
     first_stage, q, s_u = inputs
-    return pressure.spatial(parameters, first_stage, q, s_u, grid[0], config), _solved()
+    mean = jnp.mean(first_stage, axis=2)
+    return pressure.spatial(parameters, mean, q, s_u, grid[0], config), _solved()
 
 
 class JaxEngine:
@@ -74,15 +80,41 @@ class JaxEngine:
     def __init__(self) -> None:
         self.flow: JaxStage[FlowInputs] = JaxStage(
             _flow,
+            ("flow",),
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
             each_on_its_own=True,
         )
         self.intermediate_area: JaxStage[IntermediateAreaInputs] = JaxStage(
-            _intermediate_area, compared=area.last_cycle
+            _intermediate_area, ("intermediate_area",), compared=area.last_cycle
         )
-        self.fourier_area: JaxStage[FourierAreaInputs] = JaxStage(_fourier_area)
-        self.temporal_pressure: JaxStage[TemporalPressureInputs] = JaxStage(_temporal_pressure)
-        self.spatial_pressure: JaxStage[SpatialPressureInputs] = JaxStage(_spatial_pressure)
+        self.fourier_area: JaxStage[FourierAreaInputs] = JaxStage(_fourier_area, ("fourier_area",))
+        self.temporal_pressure: JaxStage[TemporalPressureInputs] = JaxStage(
+            _temporal_pressure, ("temporal_pressure", "physics")
+        )
+        self.spatial_pressure: JaxStage[SpatialPressureInputs] = JaxStage(
+            _spatial_pressure, ("spatial_pressure", "physics")
+        )
+
+    def predict(
+        self,
+        parameters: Parameters,
+        inflow: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+    ) -> Solution:
+        """See :class:`pcnde_bridge.engines.base.Engine`."""
+        with double_precision():
+            vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
+            z, period = jnp.asarray(grid.z), jnp.asarray(grid.period)
+
+            def compute(part: _Inputs) -> tuple[_Inputs, jax.Array]:
+                q, s, p, solved = inference.predict(vectors, *part, z, period, config=config)
+                return ((q, s) if p is None else (q, s, p)), solved
+
+            flow_, area_, *pressure_ = in_batches(compute, (inflow, area_undeformed))
+        p_ref = config.physics.reference_pressure
+        return Solution(flow_, area_, pressure_[0] * p_ref if pressure_ else None)
 
     @property
     def versions(self) -> Mapping[str, str]:

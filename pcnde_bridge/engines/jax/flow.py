@@ -14,7 +14,7 @@ grid points, so that part is computed once on the grid and interpolated.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
@@ -26,6 +26,36 @@ from pcnde_bridge.engines.jax.step_control import PIController
 from pcnde_bridge.parameters import layer_sizes
 
 _CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is repeated
+
+
+class FlowNetwork(NamedTuple):
+    """f_θ taken apart: what its first layer makes of Q and S, the middle, the last layer.
+
+    Attributes
+    ----------
+    from_flow, from_area : array of shape (time, hidden)
+        Weights of the first layer.
+    first_bias : array of shape (hidden,)
+        Its bias.
+    middle : list of (matrix, bias)
+        The hidden layers between.
+    last, last_bias : array of shape (hidden, time) and (time,)
+        W (transposed) and b of the linear last layer.
+    """
+
+    from_flow: jax.Array
+    from_area: jax.Array
+    first_bias: jax.Array
+    middle: list[tuple[jax.Array, jax.Array]]
+    last: jax.Array
+    last_bias: jax.Array
+
+
+def take_apart(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> FlowNetwork:
+    """Read the network from its parameter vector."""
+    widths = layer_sizes("flow", config, n_times, 0)
+    (first, first_bias), *middle, (last, last_bias) = unpack(parameters, widths)
+    return FlowNetwork(first[:n_times], first[n_times:], first_bias, middle, last, last_bias)
 
 
 def solve(
@@ -60,38 +90,73 @@ def solve(
     solved : array of shape ()
         Whether the integration came to its end.
     """
-    stage = config.flow
-    activation = ACTIVATIONS[stage.activation]
-    n_times, n_points = inflow.shape[1], z.shape[0]
-    layers = unpack(parameters, layer_sizes("flow", config, n_times, n_points))
-    (first, first_bias), *middle, (last, last_bias) = layers
-    from_flow = first[:n_times]
-    on_grid = jnp.moveaxis(area, 2, 0) @ first[n_times:] + first_bias + inflow @ from_flow
-    along_bias, along_hidden = last_bias @ from_flow, last @ from_flow
+    network = take_apart(parameters, inflow.shape[1], config)
+    from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
+    hidden, solved = solve_hidden(network, inflow, from_area, weight, z, config)
+    flow = (
+        inflow[:, :, None]
+        + network.last_bias[:, None] * (z - z[0])
+        + jnp.einsum("nzh,ht->ntz", hidden, network.last)
+    )
+    return flow, solved
 
-    def hidden(position: Any, state: jax.Array, _: None) -> jax.Array:
+
+def solve_hidden(
+    network: FlowNetwork,
+    inflow: jax.Array,
+    from_area: jax.Array,
+    weight: jax.Array,
+    z: jax.Array,
+    config: PCNDEConfig,
+) -> tuple[jax.Array, jax.Array]:
+    """Integrate dH/dz = h, with the error measured on Q.
+
+    Parameters
+    ----------
+    network : FlowNetwork
+        f_θ.
+    inflow : array of shape (case, time)
+        Q_in, mL/s.
+    from_area : array of shape (case, z, hidden)
+        The area's part of the first layer, at the points.
+    weight, z, config
+        As in :func:`solve`.
+
+    Returns
+    -------
+    hidden : array of shape (case, z, hidden)
+        H at the points.
+    solved : array of shape ()
+        Whether the integration came to its end.
+    """
+    stage, n_points = config.flow, z.shape[0]
+    activation = ACTIVATIONS[stage.activation]
+    last, last_bias = network.last, network.last_bias
+    on_grid = jnp.moveaxis(from_area, 1, 0) + network.first_bias + inflow @ network.from_flow
+    along_bias, along_hidden = last_bias @ network.from_flow, last @ network.from_flow
+
+    def slope(position: Any, state: jax.Array, _: None) -> jax.Array:
         i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
         share = (position - z[i]) / (z[i + 1] - z[i])
         drive = (1 - share) * on_grid[i] + share * on_grid[i + 1]
-        distance = position - z[0]
-        values = activation(drive + distance * along_bias + state @ along_hidden)
-        for matrix, bias in middle:
+        values = activation(drive + (position - z[0]) * along_bias + state @ along_hidden)
+        for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
         return values
 
-    def to_flow(distance: jax.Array, state: jax.Array) -> jax.Array:
-        return inflow + distance * last_bias + state @ last
+    def size_of_flow(position: jax.Array, state: jax.Array) -> jax.Array:
+        return jnp.abs(inflow + (position - z[0]) * last_bias + state @ last)
 
     def error_norm(
         z0: jax.Array, z1: jax.Array, y0: jax.Array, y1: jax.Array, error: jax.Array
     ) -> jax.Array:
-        size = jnp.maximum(jnp.abs(to_flow(z0 - z[0], y0)), jnp.abs(to_flow(z1 - z[0], y1)))
+        size = jnp.maximum(size_of_flow(z0, y0), size_of_flow(z1, y1))
         scaled = (error @ last) / (stage.atol + stage.rtol * size)
-        mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * n_times)
+        mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * inflow.shape[1])
         return jnp.sqrt(mean)
 
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(hidden),
+        diffrax.ODETerm(slope),
         diffrax.Tsit5(),
         z[0],
         z[-1],
@@ -103,10 +168,6 @@ def solve(
         max_steps=stage.max_steps,
         throw=False,
     )
-    flow = (
-        inflow[:, :, None]
-        + last_bias[:, None] * (z - z[0])
-        + jnp.einsum("znh,ht->ntz", solution.ys, last)
-    )
-    solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(flow))
-    return flow, solved
+    hidden = jnp.moveaxis(solution.ys, 0, 1)
+    solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(hidden))
+    return hidden, solved

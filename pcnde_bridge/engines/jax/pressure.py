@@ -36,27 +36,62 @@ def temporal(
     array of shape (case, time, z)
         p̂/p_ref.
     """
+    hidden, (matrix, bias) = _hidden(parameters, flow, area, area_undeformed, config)
+    return 1 + _scale(area_undeformed, config.physics)[:, None, None] * (hidden @ matrix + bias)
+
+
+def temporal_mean(
+    parameters: jax.Array,
+    flow: jax.Array,
+    area: jax.Array,
+    area_undeformed: jax.Array,
+    config: PCNDEConfig,
+) -> jax.Array:
+    """Mean of :func:`temporal` over z, (case, time), without its values at every point."""
+    hidden, (matrix, bias) = _hidden(parameters, flow, area, area_undeformed, config)
+    mean = hidden @ jnp.mean(matrix, axis=1) + jnp.mean(bias)
+    return 1 + _scale(area_undeformed, config.physics)[:, None] * mean
+
+
+def _hidden(
+    parameters: jax.Array,
+    flow: jax.Array,
+    area: jax.Array,
+    area_undeformed: jax.Array,
+    config: PCNDEConfig,
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    """Last hidden layer of g_θ, (case, time, hidden), and the linear layer after it."""
     stage, physics = config.temporal_pressure, config.physics
     activation, n_points = ACTIVATIONS[stage.activation], flow.shape[2]
-    layers = unpack(parameters, layer_sizes("temporal_pressure", config, flow.shape[1], n_points))
+    widths = layer_sizes("temporal_pressure", config, flow.shape[1], n_points)
+    (first, bias), *middle, last = unpack(parameters, widths)
     drop = _drop(flow, area_undeformed[:, None], physics.turbulent_coefficient, physics)
     if stage.pressure_drop_input == "normalised":
         drop = drop / physics.reference_pressure
-    inputs = (area, area - area_undeformed[:, None], drop, flow)
-    (first, first_bias), *rest = layers
-    values = first_bias + sum(
-        part @ matrix for part, matrix in zip(inputs, jnp.split(first, 4), strict=True)
+    for_area, for_change, for_drop, for_flow = jnp.split(first, 4)
+    # S and S − S_u enter linearly: one product does for both.
+    values = (
+        area @ (for_area + for_change)
+        - (area_undeformed @ for_change)[:, None]
+        + drop @ for_drop
+        + flow @ for_flow
+        + bias
     )
-    for matrix, bias in rest:
+    for matrix, bias in middle:
         values = activation(values) @ matrix + bias
+    return activation(values), last
+
+
+def _scale(area_undeformed: jax.Array, physics: Physics) -> jax.Array:
+    """E·h/(r₀·p_ref) of every case."""
     radius = jnp.sqrt(area_undeformed[:, 0] / jnp.pi)
     stiffness = physics.young_modulus * physics.wall_thickness / radius
-    return 1 + (stiffness / physics.reference_pressure)[:, None, None] * values
+    return stiffness / physics.reference_pressure
 
 
 def spatial(
     parameters: jax.Array,
-    temporal_pressure: jax.Array,
+    mean: jax.Array,
     flow: jax.Array,
     area_undeformed: jax.Array,
     z: jax.Array,
@@ -71,8 +106,10 @@ def spatial(
     ----------
     parameters : array of shape (2 + 2·time,)
         a₁, a₂, b₁(t), b₂(t).
-    temporal_pressure, flow : array of shape (case, time, z)
-        p̂*, and Q, mL/s.
+    mean : array of shape (case, time)
+        p̂*, the first stage's result, averaged over z.
+    flow : array of shape (case, time, z)
+        Q, mL/s.
     area_undeformed : array of shape (case, z)
         S_u, cm².
     z : array of shape (z,)
@@ -88,19 +125,20 @@ def spatial(
     physics = config.physics
     a1, a2 = parameters[0], parameters[1]
     b1, b2 = jnp.split(parameters[2:], 2)
-    at_stenosis = jax.vmap(jax.vmap(lambda q: jnp.interp(physics.stenosis_position, z, q)))(flow)
+    after = jnp.clip(jnp.searchsorted(z, physics.stenosis_position), 1, z.shape[0] - 1)
+    share = (physics.stenosis_position - z[after - 1]) / (z[after] - z[after - 1])
+    at_stenosis = (1 - share) * flow[:, :, after - 1] + share * flow[:, :, after]
     coefficient = physics.turbulent_coefficient + a2
     drop = _drop(at_stenosis, area_undeformed, coefficient, physics)
     drop = drop / physics.reference_pressure + b1
     start, third = z[0], (z[-1] - z[0]) / 3
     inside = jnp.clip(z, start + third, start + 2 * third)
     step = jnp.tanh(10 * b2[:, None] * (inside - physics.stenosis_position))
-    mean = jnp.mean(temporal_pressure, axis=2) + a1
     if config.spatial_pressure.form == "printed":
         step = jnp.where(z <= start + third, 0.0, step)
     else:
         step = step / 2
-    return mean[:, :, None] - drop[:, :, None] * step
+    return (mean + a1)[:, :, None] - drop[:, :, None] * step
 
 
 def _drop(

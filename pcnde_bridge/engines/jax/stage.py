@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import fields
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
@@ -18,20 +17,12 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.base import Fit, Grid, OnIteration
 from pcnde_bridge.engines.jax.bfgs import minimise
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.precision import double_precision
 
 Array = npt.NDArray[np.float64]
 InputsT = TypeVar("InputsT")
 
 _LARGEST_BATCH = 128
-
-
-def double_precision() -> AbstractContextManager[Any]:
-    """Context in which JAX computes in float64, leaving the user's own setting alone."""
-    if hasattr(jax, "enable_x64"):
-        return jax.enable_x64(True)  # type: ignore[no-any-return]
-    from jax.experimental import enable_x64  # type: ignore[attr-defined]
-
-    return enable_x64()  # type: ignore[no-any-return]
 
 
 class Model(Protocol):
@@ -62,6 +53,9 @@ class JaxStage(Generic[InputsT]):
     ----------
     model : Model
         The equation.
+    depends_on : tuple of str
+        The groups of settings that the equation needs; a change of others
+        compiles nothing again.
     compared : callable
         Takes the part of the prediction that the loss compares with the target,
         ``(prediction, n_times) -> array``.
@@ -75,12 +69,14 @@ class JaxStage(Generic[InputsT]):
     def __init__(
         self,
         model: Model,
+        depends_on: tuple[str, ...],
         *,
         compared: Callable[[jax.Array, int], jax.Array] = lambda prediction, _: prediction,
         loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
         each_on_its_own: bool = False,
     ) -> None:
         self._model = model
+        self._depends_on = depends_on
         self._compared = compared
         self._loss_scale = loss_scale
         self._each_on_its_own = each_on_its_own
@@ -91,26 +87,15 @@ class JaxStage(Generic[InputsT]):
 
     def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
-        arrays = _arrays(inputs)
-        results = []
         with double_precision():
-            where = _on_device(grid)
-            for start in range(0, arrays[0].shape[0], _LARGEST_BATCH):
-                part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
-                count = part[0].shape[0]
-                predicted, solved = self._solve(
-                    jnp.asarray(parameters), _padded(part), where, config=config
-                )
-                failed = np.flatnonzero(~np.asarray(solved)[:count])
-                if failed.size:
-                    raise SolveError(
-                        f"The equation could not be integrated for case {start + failed[0]} "
-                        f"({failed.size} of {count} cases failed): the step became too small or "
-                        "a value not finite. Check the inflow's and area's units (mL/s, cm²) "
-                        "and that they resemble the training data."
-                    )
-                results.append(np.asarray(predicted)[:count])
-        return results[0] if len(results) == 1 else np.concatenate(results)
+            where, settings = _on_device(grid), self._relevant(config)
+
+            def compute(part: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array], jax.Array]:
+                predicted, solved = self._solve(parameters, part, where, config=settings)
+                return (predicted,), solved
+
+            (result,) = in_batches(compute, _arrays(inputs))
+            return result
 
     def loss_and_gradient(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
@@ -118,7 +103,9 @@ class JaxStage(Generic[InputsT]):
         """See :class:`pcnde_bridge.engines.base.Stage`."""
         with double_precision():
             data = _fit_data(inputs, target, grid)
-            loss, gradient = self._value_and_gradient(jnp.asarray(parameters), *data, config=config)
+            loss, gradient = self._value_and_gradient(
+                jnp.asarray(parameters), *data, config=self._relevant(config)
+            )
             return float(loss), np.array(gradient)
 
     def fit(
@@ -133,18 +120,21 @@ class JaxStage(Generic[InputsT]):
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
         with double_precision():
-            data = _fit_data(inputs, target, grid)
+            data, settings = _fit_data(inputs, target, grid), self._relevant(config)
 
             def value(x: Array) -> float:
-                return float(self._value(x, *data, config=config))
+                return float(self._value(x, *data, config=settings))
 
             def value_and_gradient(x: Array) -> tuple[float, Array]:
-                loss, gradient = self._value_and_gradient(x, *data, config=config)
+                loss, gradient = self._value_and_gradient(x, *data, config=settings)
                 return float(loss), np.asarray(gradient)
 
             return minimise(
                 value, value_and_gradient, parameters, config.optimiser, iterations, on_iteration
             )
+
+    def _relevant(self, config: PCNDEConfig) -> PCNDEConfig:
+        return PCNDEConfig(**{name: getattr(config, name) for name in self._depends_on})
 
     def _predict(
         self,
@@ -179,6 +169,44 @@ class JaxStage(Generic[InputsT]):
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
         return jnp.where(solved, total / self._loss_scale(config, count), jnp.inf)
+
+
+def in_batches(
+    compute: Callable[[tuple[jax.Array, ...]], tuple[tuple[jax.Array, ...], jax.Array]],
+    arrays: tuple[Array, ...],
+) -> tuple[Array, ...]:
+    """Compute case by case in batches of few sizes, and join the results.
+
+    Parameters
+    ----------
+    compute : callable
+        Takes arrays of as many cases, returns results and, for each case,
+        whether it was solved.
+    arrays : tuple of arrays of shape (case, ...)
+        All cases.
+
+    Raises
+    ------
+    SolveError
+        Naming the first case that was not solved.
+    """
+    batches = []
+    for start in range(0, len(arrays[0]), _LARGEST_BATCH):
+        part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
+        count = len(part[0])
+        results, solved = compute(_padded(part))
+        failed = np.flatnonzero(~np.asarray(solved)[:count])
+        if failed.size:
+            raise SolveError(
+                f"The momentum equation could not be integrated for case {start + failed[0]} "
+                f"({failed.size} of {count} cases failed): the step became too small or a value "
+                "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
+                "resemble the training data."
+            )
+        batches.append([np.asarray(r)[:count] for r in results])
+    if len(batches) == 1:
+        return tuple(batches[0])
+    return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
 
 
 def _arrays(inputs: Any) -> tuple[Array, ...]:
