@@ -201,15 +201,13 @@ def doctor() -> None:
     from pcnde_bridge.doctor import examine
 
     findings = examine()
-    table = Table("", "what", "found", "what to do", title=f"pcnde_bridge {__version__}")
+    _out.print(f"pcnde_bridge {__version__}", highlight=False)
     for finding in findings:
-        table.add_row(
-            "[green]✓[/]" if finding.good else "[yellow]–[/]",
-            finding.what,
-            finding.found,
-            finding.advice,
-        )
-    _out.print(table)
+        mark = "[green]✓[/]" if finding.good else "[yellow]–[/]"
+        _out.print(mark, end=" ")
+        _say(f"{finding.what}: {finding.found}")
+        if finding.advice:
+            _say(f"  → {finding.advice}")
     if not any(finding.good for finding in findings if finding.is_engine):
         raise PCNDEError("No engine is usable: nothing can be computed on this machine.")
 
@@ -238,6 +236,10 @@ def main() -> None:
         # The reader of a pipe has gone; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _say(text: str) -> None:
+    _out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def _fail(message: str, code: int) -> None:

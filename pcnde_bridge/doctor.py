@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from pcnde_bridge.datasets import find_published
-from pcnde_bridge.engines import why_not_julia
+from pcnde_bridge.engines.julia import julia_status
 from pcnde_bridge.errors import PCNDEError
 
 
@@ -57,10 +57,19 @@ def _jax() -> Finding:
 
 
 def _julia() -> Finding:
-    why = why_not_julia()
-    if why is not None:
-        return Finding("engine julia", why, "the jax engine is used", good=False, is_engine=True)
-    return Finding("engine julia", f"juliacall {_version('juliacall')}", is_engine=True)
+    status = julia_status()
+    if not status.usable:
+        return Finding("engine julia", "not usable", status.message, good=False, is_engine=True)
+    packages = ", ".join(f"{name} {found}" for name, found in sorted(status.packages.items()))
+    facts = [
+        f"Julia {status.version or 'running'} ({status.executable}), from {status.source}",
+        f"project {status.project}",
+        packages,
+        "precompiled" if status.precompiled else "not precompiled: the first start takes minutes",
+        "offline" if status.offline else "online",
+        f"threads {status.threads}, handles signals: {status.handle_signals}",
+    ]
+    return Finding("engine julia", "; ".join(fact for fact in facts if fact), is_engine=True)
 
 
 def _data() -> Finding:

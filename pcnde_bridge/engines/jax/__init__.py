@@ -113,8 +113,7 @@ class JaxEngine:
                 return ((q, s) if p is None else (q, s, p)), solved
 
             flow_, area_, *pressure_ = in_batches(compute, (inflow, area_undeformed))
-        p_ref = config.physics.reference_pressure
-        return Solution(flow_, area_, pressure_[0] * p_ref if pressure_ else None)
+        return Solution(flow_, area_, pressure_[0] if pressure_ else None)
 
     @property
     def versions(self) -> Mapping[str, str]:

@@ -12,7 +12,8 @@ It is what the five stages give one after the other, to round-off (tested).
 
 from __future__ import annotations
 
-from functools import partial, reduce
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,16 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.area import flow_slope, fourier_integral
 from pcnde_bridge.engines.jax.flow import solve_hidden, take_apart
 from pcnde_bridge.engines.jax.pressure import spatial, temporal_mean
+from pcnde_bridge.engines.jax.separable import Separable
+
+
+class _Pass(NamedTuple):
+    """What one coupling pass leaves to the next, in space: G, s₀, c, and whether all is solved."""
+
+    in_space: jax.Array
+    steady: jax.Array
+    wave: jax.Array
+    solved: jax.Array
 
 
 @partial(jax.jit, static_argnames="config")
@@ -51,7 +62,7 @@ def predict(
     Returns
     -------
     flow, area, pressure : array of shape (case, time, z)
-        mL/s, cm², and p/p_ref or None without pressure stages.
+        mL/s, cm², and dyn/cm² or None without pressure stages.
     solved : array of shape (case,)
         Whether the momentum equation came to its end, in every pass.
     """
@@ -72,12 +83,14 @@ def predict(
         hidden, solved = solve_hidden(network, q[None], from_area[None], jnp.ones(1), z, config)
         return hidden[0], solved
 
-    from_area = area_undeformed[:, :, None] * network.from_area.sum(axis=0)
-    solved = jnp.ones(n_cases, dtype=bool)
+    area_to_layer = network.from_area.sum(axis=0)
+    wave_to_layer = fourier_in_time @ network.from_area
     distance = jnp.broadcast_to(z - z[0], (n_cases, 1, z.shape[0]))
-    for _ in range(config.coupling_passes):
-        hidden, ended = one_pass(inflow, from_area)
-        solved &= ended
+
+    def couple(_: int, before: _Pass) -> _Pass:
+        from_area = before.steady[:, :, None] * area_to_layer
+        from_area = from_area + jnp.einsum("nkz,kh->nzh", before.wave, wave_to_layer)
+        hidden, solved = one_pass(inflow, from_area)
         in_space = jnp.concatenate([distance, jnp.moveaxis(hidden, 2, 1)], axis=1)
         slope = flow_slope(in_space, z)
         anchor = (
@@ -85,23 +98,19 @@ def predict(
             - a_hat * jnp.einsum("k,nkz->nz", integral_in_time, slope)
             + b_hat * (period * elapsed)
         )
-        steady, wave = anchor + b, -a * slope
-        from_area = steady[:, :, None] * network.from_area.sum(axis=0) + jnp.einsum(
-            "nkz,kh->nzh", wave, fourier_in_time @ network.from_area
-        )
-    flow = inflow[:, :, None] + _product(in_time, in_space)
-    area = steady[:, None] + _product(fourier_in_time, wave)
+        return _Pass(in_space, anchor + b, -a * slope, before.solved & solved)
+
+    nothing = jnp.zeros((n_cases, in_time.shape[0], z.shape[0]))
+    first = _Pass(nothing, area_undeformed, nothing, jnp.ones(n_cases, dtype=bool))
+    in_space, steady, wave, solved = jax.lax.fori_loop(0, config.coupling_passes, couple, first)
+    flow = Separable(inflow[:, :, None], in_time, in_space)
+    area = Separable(steady[:, None], fourier_in_time, wave)
     if parameters["temporal_pressure"].size == 0:
-        return flow, area, None, solved
+        return flow.values(), area.values(), None, solved
     mean = temporal_mean(parameters["temporal_pressure"], flow, area, area_undeformed, config)
-    pressure = spatial(parameters["spatial_pressure"], mean, flow, area_undeformed, z, config)
-    return flow, area, pressure, solved
-
-
-def _product(in_time: jax.Array, in_space: jax.Array) -> jax.Array:
-    """Σ_k T_k(t)·Z_k(z), (case, time, z): few terms, which one fused loop adds up."""
-    terms = (in_time[k][None, :, None] * in_space[:, k, None, :] for k in range(in_time.shape[0]))
-    return reduce(jnp.add, terms)
+    q = flow.values()
+    pressure = spatial(parameters["spatial_pressure"], mean, q, area_undeformed, z, config)
+    return q, area.values(), pressure * config.physics.reference_pressure, solved
 
 
 def _until_anchor(n_times: int, config: PCNDEConfig) -> tuple[np.ndarray, float]:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig, Physics
 from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
+from pcnde_bridge.engines.jax.separable import Separable
 from pcnde_bridge.parameters import layer_sizes
 from pcnde_bridge.stenosis import pressure_drop
 
@@ -42,8 +43,8 @@ def temporal(
 
 def temporal_mean(
     parameters: jax.Array,
-    flow: jax.Array,
-    area: jax.Array,
+    flow: jax.Array | Separable,
+    area: jax.Array | Separable,
     area_undeformed: jax.Array,
     config: PCNDEConfig,
 ) -> jax.Array:
@@ -55,17 +56,18 @@ def temporal_mean(
 
 def _hidden(
     parameters: jax.Array,
-    flow: jax.Array,
-    area: jax.Array,
+    flow: jax.Array | Separable,
+    area: jax.Array | Separable,
     area_undeformed: jax.Array,
     config: PCNDEConfig,
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Last hidden layer of g_θ, (case, time, hidden), and the linear layer after it."""
     stage, physics = config.temporal_pressure, config.physics
-    activation, n_points = ACTIVATIONS[stage.activation], flow.shape[2]
-    widths = layer_sizes("temporal_pressure", config, flow.shape[1], n_points)
+    activation, n_points = ACTIVATIONS[stage.activation], area_undeformed.shape[1]
+    widths = layer_sizes("temporal_pressure", config, 0, n_points)
     (first, bias), *middle, last = unpack(parameters, widths)
-    drop = _drop(flow, area_undeformed[:, None], physics.turbulent_coefficient, physics)
+    q = flow.values() if isinstance(flow, Separable) else flow
+    drop = _drop(q, area_undeformed[:, None], physics.turbulent_coefficient, physics)
     if stage.pressure_drop_input == "normalised":
         drop = drop / physics.reference_pressure
     for_area, for_change, for_drop, for_flow = jnp.split(first, 4)
