@@ -8,6 +8,7 @@ run continued from a checkpoint repeats the interrupted one bit for bit.
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Callable
@@ -41,6 +42,8 @@ Array = npt.NDArray[np.float64]
 OnRecord = Callable[[Iteration], None]
 
 _KIND, _VERSION = "pcnde-checkpoint", 1
+
+_log = logging.getLogger("pcnde_bridge")
 
 
 class Unit(NamedTuple):
@@ -397,6 +400,14 @@ class Trainer:
             raise InputError(
                 f"{path} belongs to a run with another configuration. Give the same one, or "
                 "another checkpoint file."
+            )
+        if facts.get("engine") != self._engine.name:
+            _log.warning(
+                "%s was written with the %s engine and continues with %s: the result agrees to "
+                "the accuracy of the solver, not bit for bit.",
+                path,
+                facts.get("engine"),
+                self._engine.name,
             )
         return state
 

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.datasets import find_published, load_cases
+from pcnde_bridge.engines.base import Fit
 from pcnde_bridge.errors import DataNotFoundError
+from pcnde_bridge.inference import predict_by_stages
+from pcnde_bridge.model import PCNDE
 
 
 @pytest.fixture(scope="session")
@@ -64,3 +69,127 @@ def published_folder() -> Path:
 @pytest.fixture(scope="session")
 def published_cases(published_folder: Path) -> Cases:
     return load_cases(published_folder)
+
+
+@pytest.fixture(scope="session")
+def small_config() -> PCNDEConfig:
+    """The paper's training in little: two couplings, two batches of one compiled shape."""
+    return PAPER.replace(
+        batch_size=6,
+        coupling_passes=2,  # compiled one after the other
+        flow={"epochs": 4, "couple_every": 2, "iterations": 3},
+        intermediate_area={"iterations": 3},
+        fourier_area={"iterations": 3},
+        temporal_pressure={"iterations": 8},
+        spatial_pressure={"iterations": 6},
+    )
+
+
+@pytest.fixture(scope="session")
+def small_split() -> dict[str, list[list[int]]]:
+    """Eleven cases for training, so that the last batch is smaller, and one for test."""
+    train = [[g, w] for g in (1, 2, 3) for w in range(4) if (g, w) != (2, 1)]
+    return {"train": train, "test": [[2, 1]]}
+
+
+@pytest.fixture(scope="session")
+def small_model(small_cases, small_config, small_split) -> PCNDE:
+    """Fitted by the JAX engine; what it compiled serves every test of these shapes."""
+    train = small_cases.split(small_split).train
+    return PCNDE.fit(train, small_config, engine="jax", seed=0, progress=False)
+
+
+class ToyStage:
+    """A stage that a few numbers describe, fitted by descent: all in numpy, at once.
+
+    ``formula(k, arrays, grid, config)`` gives the prediction; k are a few fixed
+    projections of the parameters, so that every parameter counts.
+    """
+
+    def __init__(self, formula, compared=lambda prediction, n_times: prediction):
+        self.formula, self.compared = formula, compared
+        self.fits = []
+
+    def _k(self, parameters):
+        weights = np.cos(np.arange(3 * parameters.size).reshape(3, -1) + 1.0)
+        return np.tanh(weights @ parameters / np.sqrt(parameters.size)), weights
+
+    def solve(self, parameters, inputs, grid, config):
+        return self.formula(self._k(parameters)[0], inputs, grid, config)
+
+    def _loss(self, parameters, inputs, target, grid, config):
+        predicted = self.solve(parameters, inputs, grid, config)
+        return float(((self.compared(predicted, target.shape[1]) - target) ** 2).mean())
+
+    def loss_and_gradient(self, parameters, inputs, target, grid, config):
+        _, weights = self._k(parameters)
+        gradient = np.zeros(parameters.size)
+        for row in weights:
+            step = 1e-4 * row
+            rise = self._loss(parameters + step, inputs, target, grid, config)
+            fall = self._loss(parameters - step, inputs, target, grid, config)
+            gradient += (rise - fall) * row
+        return self._loss(parameters, inputs, target, grid, config), gradient
+
+    def fit(self, parameters, inputs, target, grid, config, iterations, on_iteration=None):
+        self.fits.append((parameters.copy(), inputs, target))
+        losses = [self._loss(parameters, inputs, target, grid, config)]
+        for number in range(1, iterations + 1):
+            _, gradient = self.loss_and_gradient(parameters, inputs, target, grid, config)
+            length = np.linalg.norm(gradient)
+            parameters = parameters - 0.05 * gradient / (length if length > 0 else 1.0)
+            losses.append(self._loss(parameters, inputs, target, grid, config))
+            if on_iteration is not None:
+                on_iteration(number, losses[-1])
+        return Fit(parameters, np.array(losses), False, "all iterations done")
+
+
+def _toy_flow(k, inputs, grid, config):
+    slope = 0.1 * k[0] + 0.1 * k[1] * (inputs.area - 0.125) + 0.01 * k[2] * grid.z
+    return inputs.inflow[:, :, None] * (1 + slope * grid.z)
+
+
+def _toy_intermediate(k, inputs, grid, config):
+    one = inputs.area_undeformed[:, None] * (1 + 0.1 * k[0] + 0.1 * k[1] * inputs.flow)
+    return np.concatenate([one * (1 + 0.01 * k[2] * n) for n in range(3)], axis=1)
+
+
+def _toy_fourier(k, inputs, grid, config):
+    return inputs.initial_area[:, None] * (1 + 0.1 * k[0] * inputs.flow) + 0.01 * (k[1] + k[2])
+
+
+def _toy_temporal(k, inputs, grid, config):
+    return 1 + k[0] * inputs.flow + k[1] * inputs.area + k[2] * inputs.area_undeformed[:, None]
+
+
+def _toy_spatial(k, inputs, grid, config):
+    drop = (k[1] + k[2] * inputs.flow) * np.tanh(grid.z - 2)
+    return inputs.temporal.mean(axis=2, keepdims=True) + k[0] - drop
+
+
+class ToyEngine:
+    """An engine that needs no compiling, for what does not depend on the equations."""
+
+    name = "toy"
+    versions: ClassVar = {"toy": "1"}
+
+    def __init__(self):
+        self.flow = ToyStage(_toy_flow)
+        self.intermediate_area = ToyStage(_toy_intermediate, lambda p, n_times: p[:, -n_times:])
+        self.fourier_area = ToyStage(_toy_fourier)
+        self.temporal_pressure = ToyStage(_toy_temporal)
+        self.spatial_pressure = ToyStage(_toy_spatial)
+
+    def predict(self, *args):
+        return predict_by_stages(self, *args)
+
+
+@pytest.fixture
+def toy_engine() -> ToyEngine:
+    return ToyEngine()
+
+
+@pytest.fixture(scope="session")
+def toy_config(small_config) -> PCNDEConfig:
+    """As ``small_config``, with batches of 5, so that the last of 12 cases has 2."""
+    return small_config.replace(batch_size=5)

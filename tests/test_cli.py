@@ -1,0 +1,483 @@
+"""The command line: results, messages and exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pcnde_bridge import PCNDE, Cases, SolveError, __version__, cli
+from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.doctor import Finding
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run ``pcnde`` in this process: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
+        capsys.readouterr()
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return run
+
+
+def process(*arguments, **options):
+    """Run ``python -m pcnde_bridge`` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, small_cases, small_config, small_split, small_model):
+    """What a user has: cases, settings, a split, and a model fitted with them."""
+    folder = tmp_path_factory.mktemp("cli")
+    small_cases.save(folder / "cases.npz")
+    changes = small_config.to_dict()
+    (folder / "config.json").write_text(json.dumps(changes))
+    (folder / "split.json").write_text(json.dumps(small_split))
+    small_model.save(folder / "model.pcnde")
+    for name, axis, values in (
+        ("inflow.csv", ("time", small_cases.time), small_cases.inflow[:1]),
+        ("area.csv", ("z", small_cases.z), small_cases.area_undeformed[:1]),
+        ("inflows.csv", ("time", small_cases.time), small_cases.inflow),
+    ):
+        table = pd.DataFrame({axis[0]: axis[1]})
+        for i, row in enumerate(values):
+            table[f"case {i}"] = row
+        table.to_csv(folder / name, index=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fit_options(folder):
+    return (
+        *("--config", folder / "config.json"),
+        *("--split", folder / "split.json"),
+        *("--engine", "jax"),
+    )
+
+
+# ---- in a process of its own --------------------------------------------------
+
+
+def test_version_and_use():
+    result = process("--version")
+    assert (result.returncode, result.stdout.strip(), result.stderr) == (0, __version__, "")
+
+
+def test_errors_have_no_traceback(folder, tmp_path):
+    cut = tmp_path / "cut.pcnde"
+    whole = (folder / "model.pcnde").read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    result = process("evaluate", cut, folder / "cases.npz")
+    assert result.returncode == 2
+    assert result.stderr.startswith("Error: ")
+    assert str(cut) in result.stderr
+    assert "truncated" in result.stderr or "damaged" in result.stderr
+    assert "Traceback" not in result.stdout + result.stderr
+    assert result.stdout == ""
+
+
+def test_a_reader_that_goes_away_is_no_error_of_ours(folder):
+    """``pcnde … | head -0``: no traceback, and nothing at the interpreter's exit."""
+    code = "import sys, pcnde_bridge.cli as c; sys.argv = ['pcnde', 'doctor']; c.main()"
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    child.stdout.close()
+    err = child.stderr.read()
+    child.wait()
+    child.stderr.close()
+    assert child.returncode == 1
+    assert "Traceback" not in err
+    assert "Exception ignored" not in err
+
+
+def test_interrupted_by_ctrl_c_then_continued(folder, fit_options, tmp_path, run, small_model):
+    """SIGINT after the first epoch, in another process; then to the same bits here."""
+    out = tmp_path / "model.pcnde"
+    checkpoint = tmp_path / "model.pcnde.checkpoint"
+    arguments = ["fit", folder / "cases.npz", *fit_options, "--out", out]
+    child = subprocess.Popen(
+        [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 240
+    while not _finished(checkpoint):
+        assert child.poll() is None, child.stderr.read()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    child.send_signal(signal.SIGINT)
+    printed, err = child.communicate(timeout=120)
+    assert child.returncode == 130
+    assert "Interrupted" in err
+    assert str(checkpoint) in err
+    assert "Traceback" not in printed + err
+    assert not out.exists()
+    assert _finished(checkpoint) < 12
+
+    code, printed, err = run(*arguments)
+    assert code == 0
+    assert f"Continuing from {checkpoint}" in err
+    assert f"Saved {out}" in printed
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    assert PCNDE.load(out, engine="jax").parameters == small_model.parameters
+
+
+def _finished(checkpoint):
+    if not checkpoint.exists():
+        return 0
+    return read_archive(checkpoint, "pcnde-checkpoint", 1, "checkpoint")[0]["finished"]
+
+
+# ---- fit ------------------------------------------------------------------------
+
+
+def test_fit(folder, fit_options, tmp_path, run, small_model, small_cases, small_split):
+    out = tmp_path / "model.pcnde"
+    code, printed, _ = run("fit", folder / "cases.npz", *fit_options, "--out", out)
+    assert code == 0
+    loaded = PCNDE.load(out, engine="jax")
+    assert loaded.parameters == small_model.parameters
+    assert loaded.provenance["cases"] == 11
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    errors = small_model.evaluate(small_cases.split(small_split).test).iloc[-1]
+    for value in errors:
+        assert f"{value:.4f}" in printed
+    assert f"Saved {out}" in printed
+
+
+def test_fit_with_another_seed_and_a_checkpoint_of_ones_own(
+    folder, fit_options, tmp_path, run, small_model
+):
+    out, kept = tmp_path / "model.pcnde", tmp_path / "kept"
+    arguments = ("fit", folder / "cases.npz", *fit_options, "--checkpoint", kept, "--out", out)
+    assert run(*arguments, "--seed", 5)[0] == 0
+    assert kept.exists()
+    assert PCNDE.load(out, engine="jax").provenance["seed"] == 5
+    assert PCNDE.load(out, engine="jax").parameters != small_model.parameters
+    code, _, err = run(*arguments, "--seed", 6)
+    assert code == 2
+    assert "belongs to a run with seed 5, not 6" in err
+
+
+def test_fit_refuses_bad_use_before_it_trains(folder, fit_options, tmp_path, run, monkeypatch):
+    def train(*_, **__):
+        raise AssertionError("training began")
+
+    monkeypatch.setattr(PCNDE, "fit", train)
+    cases, out = folder / "cases.npz", tmp_path / "m"
+    settings = tmp_path / "settings.json"
+
+    def refused(*arguments):
+        code, printed, err = run("fit", *arguments)
+        assert (code, printed) == (2, "")
+        return err
+
+    assert "no_such_data" in refused("no_such_data", "--out", out)
+    assert "Unknown preset 'papers'" in refused(cases, "--preset", "papers", "--out", out)
+    assert "nowhere.json" in refused(cases, "--split", "nowhere.json", "--out", out)
+    assert "nowhere.json" in refused(cases, "--config", "nowhere.json", "--out", out)
+    assert "--seed" in refused(cases, "--seed", "-1", "--out", out)
+    assert "--engine" in refused(cases, "--engine", "torch", "--out", out)
+    assert "--out" in refused(cases)
+    assert "DATA" in refused("--out", out)
+    for text, message in (
+        ("{", "Cannot read settings"),
+        ("[1]", "must hold a JSON object"),
+        ('{"flow": {"epochs": 0}}', "FlowStage.epochs must be positive"),
+        ('{"flows": {}}', "no setting 'flows'"),
+        ('{"self": {}}', "no setting 'self'"),
+        ('{"flow": 3}', "PCNDEConfig.flow must be"),
+        ("[" * 100_000, "settings"),
+    ):
+        settings.write_text(text)
+        assert message in refused(cases, "--config", settings, "--out", out)
+    settings.write_bytes(b"\xff\xfe\x00")
+    assert "Cannot read settings" in refused(cases, "--config", settings, "--out", out)
+    for text in ("{", "[]", '{"train": [[1, 1]]}', '{"train": [[1, 1]], "test": [[9, 9]]}'):
+        settings.write_text(text)
+        assert "settings.json" in refused(cases, "--split", settings, "--out", out)
+    for bad in (tmp_path, tmp_path / "nowhere" / "m"):
+        assert "Cannot write" in refused(cases, *fit_options, "--out", bad)
+
+
+def test_fit_refuses_settings_that_do_not_fit_and_a_checkpoint_it_cannot_write(
+    folder, fit_options, tmp_path, run
+):
+    cases, out = folder / "cases.npz", tmp_path / "m"
+    code, _, err = run(
+        "fit",
+        cases,
+        "--engine",
+        "jax",
+        "--split",
+        "none",
+        "--config",
+        _json(tmp_path, {"fourier_area": {"terms": 15}}),
+        "--out",
+        out,
+    )
+    assert code == 2
+    assert "fourier_area.terms=15" in err
+    code, _, err = run(
+        "fit", cases, *fit_options, "--out", out, "--checkpoint", tmp_path / "nowhere" / "c"
+    )
+    assert code == 2
+    assert "cannot write" in err
+    (tmp_path / "m.checkpoint").write_text("hello")
+    code, _, err = run("fit", cases, *fit_options, "--out", out)
+    assert code == 2
+    assert "not a pcnde_bridge checkpoint" in err
+    assert not out.exists()
+
+
+def _json(folder, value):
+    path = folder / "some.json"
+    path.write_text(json.dumps(value))
+    return path
+
+
+# ---- evaluate --------------------------------------------------------------------
+
+
+def test_evaluate(folder, tmp_path, run, small_model, small_cases, small_split):
+    as_json, as_csv = tmp_path / "e.json", tmp_path / "e.csv"
+    code, printed, _ = run(
+        "evaluate", folder / "model.pcnde", folder / "cases.npz", "--split",
+        folder / "split.json", "--json", as_json, "--csv", as_csv, "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    found = json.loads(as_json.read_text())
+    split = small_cases.split(small_split)
+    assert list(found) == ["train", "test"]
+    table = pd.read_csv(as_csv)
+    assert list(table.columns) == ["set", "geometry", "waveform", "flow", "area", "pressure"]
+    assert len(table) == 11 + 1 + 1 + 1
+    for name, cases in split._asdict().items():
+        expected = small_model.evaluate(cases)
+        assert found[name] == expected.iloc[-1].to_dict()
+        rows = table[table["set"] == name]
+        assert np.array_equal(rows[["flow", "area", "pressure"]], expected)
+        assert list(rows["geometry"]) == [str(g) for g, _ in expected.index]
+        for value in found[name].values():
+            assert f"{value:.4f}" in printed
+
+
+def test_evaluate_without_a_split(folder, tmp_path, run, small_model, small_cases):
+    as_json = tmp_path / "e.json"
+    code, _, _ = run(
+        "evaluate", folder / "model.pcnde", folder / "cases.npz", "--split", "none",
+        "--json", as_json, "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    expected = small_model.evaluate(small_cases).iloc[-1].to_dict()
+    assert json.loads(as_json.read_text()) == {"train": expected}
+
+
+def test_evaluate_refuses(folder, tmp_path, run, small_cases):
+    model, cases = folder / "model.pcnde", folder / "cases.npz"
+
+    def refused(*arguments):
+        code, printed, err = run("evaluate", *arguments, "--engine", "jax")
+        assert (code, printed) == (2, "")
+        return err
+
+    assert "There is no model at" in refused(tmp_path / "nowhere", cases)
+    assert "is a folder, not a model" in refused(tmp_path, cases)
+    assert "not a pcnde_bridge model" in refused(cases, cases)
+    assert "nowhere" in refused(model, tmp_path / "nowhere")
+    assert "model.pcnde" in refused(model, model)
+    assert str(tmp_path) in refused(model, tmp_path)
+    assert "cannot write" in refused(model, cases, "--split", "none", "--json", tmp_path)
+    assert "cannot write" in refused(
+        model, cases, "--split", "none", "--csv", tmp_path / "nowhere" / "e.csv"
+    )
+    facts, arrays = read_archive(model, "pcnde-model", 1, "model")
+    facts = {"config": facts["config"], "provenance": facts["provenance"]}
+    write_archive(tmp_path / "newer", "pcnde-model", 99, facts, arrays)
+    assert "written by a newer pcnde_bridge" in refused(tmp_path / "newer", cases)
+    other = Cases(
+        *(np.asarray(getattr(small_cases, v))[:, :, ::2] for v in ("flow", "area", "pressure")),
+        small_cases.area_undeformed[:, ::2],
+        small_cases.time,
+        small_cases.z[::2],
+    )
+    other.save(tmp_path / "other.h5")
+    assert "11 values of z" in refused(model, tmp_path / "other.h5", "--split", "none")
+
+
+# ---- predict ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
+def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffix):
+    out = tmp_path / f"result{suffix}"
+    code, printed, _ = run(
+        "predict", folder / "model.pcnde", "--inflow", folder / "inflow.csv",
+        "--area", folder / "area.csv", "--out", out, "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    assert f"Saved 1 case in {out}" in printed
+    expected = small_model.predict(small_cases.inflow[0], small_cases.area_undeformed[0])
+    if suffix == ".csv":
+        found = pd.read_csv(out)
+        frame = expected.to_frame()
+        assert list(found.columns) == list(frame.columns)
+        np.testing.assert_allclose(found, frame, rtol=1e-13)
+    else:
+        cases = Cases.load(out)
+        for name in ("flow", "area", "pressure"):
+            assert np.array_equal(getattr(cases, name), getattr(expected, name))
+
+
+def test_predict_many_waveforms_in_one_vessel(folder, tmp_path, run, small_model, small_cases):
+    out = tmp_path / "result.npz"
+    code, printed, _ = run(
+        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
+        "--area", folder / "area.csv", "--out", out, "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    assert "Saved 12 cases" in printed
+    expected = small_model.predict(small_cases.inflow, small_cases.area_undeformed[0])
+    assert np.array_equal(Cases.load(out).flow, expected.flow)
+
+
+def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
+    def refused(model="model.pcnde", inflow="inflow.csv", area="area.csv", out="result.csv"):
+        code, printed, err = run(
+            "predict", folder / model, "--inflow", folder / inflow, "--area", folder / area,
+            "--out", tmp_path / out, "--engine", "jax",
+        )  # fmt: skip
+        assert (code, printed) == (2, "")
+        return err
+
+    assert "must end in .csv, .npz or .h5" in refused(out="result.txt")
+    assert "must end in .csv, .npz or .h5" in refused(out="result")
+    assert "There is no model at" in refused(model="nowhere")
+    assert "Cannot read a table" in refused(inflow="nowhere.csv")
+    assert "must have the columns time" in refused(inflow="area.csv")
+    assert "must have the columns z" in refused(area="inflow.csv")
+    assert "cannot write" in refused(out="nowhere/result.csv")
+    assert list(tmp_path.iterdir()) == []
+
+    text = (folder / "area.csv").read_text()
+    bad = tmp_path / "bad.csv"
+    bad.write_text("\n".join(text.splitlines()[:-1]))
+    assert "has 20 rows, but the model works on 21" in refused(area=bad)
+    bad.write_text(text.replace(text.splitlines()[4].split(",")[1], "x", 1))
+    assert "not a number" in refused(area=bad)
+    lines = text.splitlines()
+    lines[6] = lines[6].split(",")[0] + ",-0.1"
+    bad.write_text("\n".join(lines))
+    assert "area_undeformed[0, 5] is -0.1" in refused(area=bad)
+    table = pd.read_csv(folder / "inflows.csv").iloc[:, :6]
+    table.to_csv(tmp_path / "five.csv", index=False)
+    pd.read_csv(folder / "area.csv").assign(b=0.1).to_csv(bad, index=False)
+    assert "inflow has 5 cases and area_undeformed 2" in refused(
+        inflow=tmp_path / "five.csv", area=bad
+    )
+
+    flow_and_area = PCNDE(
+        small_model.config,
+        small_model.parameters.without_pressure(),
+        small_model.grid,
+        small_model.engine,
+    )
+    flow_and_area.save(tmp_path / "flow_and_area")
+    assert "no pressure" in refused(
+        model=tmp_path / "flow_and_area", inflow="inflows.csv", out="result.npz"
+    )
+
+
+# ---- failures, doctor, the rest ---------------------------------------------------
+
+
+def test_a_failure_of_the_engine_is_exit_code_1(folder, run, monkeypatch):
+    def diverge(*_):
+        raise SolveError("[bold]The equation[/bold] diverged.")
+
+    monkeypatch.setattr(PCNDE, "evaluate", diverge)
+    code, printed, err = run(
+        "evaluate", folder / "model.pcnde", folder / "cases.npz", "--engine", "jax"
+    )
+    assert (code, printed) == (1, "")
+    assert "Error: [bold]The equation[/bold] diverged." in err
+
+
+def test_doctor(run, monkeypatch):
+    code, printed, _ = run("doctor")
+    assert code == 0
+    for found in (__version__, "Python", "engine jax", "engine julia", "published data"):
+        assert found in printed
+
+
+def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
+    monkeypatch.setenv("PCNDE_DATA", str(tmp_path / "nowhere"))
+    code, printed, _ = run("doctor")
+    assert code == 0
+    assert "PCNDE_DATA" in printed
+    monkeypatch.setattr("pcnde_bridge.doctor.find_published", lambda: None)
+    code, printed, _ = run("doctor")
+    assert code == 0
+    assert "pcnde download" in printed
+
+
+def test_doctor_without_an_engine_fails(run, monkeypatch):
+    bad = Finding("engine jax", "jax missing", "pip install jax", good=False, is_engine=True)
+    monkeypatch.setattr("pcnde_bridge.doctor.examine", lambda: [Finding("Python", "3"), bad])
+    code, printed, err = run("doctor")
+    assert code == 1
+    assert "pip install jax" in printed
+    assert "No engine is usable" in err
+
+
+def test_doctor_names_missing_packages(run, monkeypatch):
+    monkeypatch.setattr("pcnde_bridge.doctor.find_spec", lambda name: None)
+    _, printed, _ = run("doctor")
+    assert "pip install jax diffrax" in printed
+
+
+def test_bad_use(run):
+    for arguments in (("nonsense",), ("fit", "--nonsense"), ("evaluate",), ("predict", "m")):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert "Usage" in err
+    for arguments in (("--help",), ("fit", "--help")):
+        code, printed, _ = run(*arguments)
+        assert code == 0
+        assert "Usage" in printed
+    assert run("--version")[:2] == (0, f"{__version__}\n")
+
+
+def test_the_script_is_installed():
+    script = Path(sys.executable).with_name("pcnde" + (".exe" if os.name == "nt" else ""))
+    if not script.exists():
+        pytest.skip("the package is not installed with its script")
+    assert "pcnde_bridge" in script.read_text()

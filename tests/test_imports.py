@@ -1,0 +1,43 @@
+"""What importing the package costs: nothing heavy is loaded before it is needed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import pcnde_bridge
+
+HEAVY = ("jax", "jaxlib", "diffrax", "juliacall", "juliapkg", "matplotlib", "scipy.optimize")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import pcnde_bridge",
+        "from pcnde_bridge import cli; import pcnde_bridge.doctor as d; d.examine()",
+    ],
+)
+def test_no_engine_and_no_plotting_is_imported(code):
+    heavy = HEAVY if code == "import pcnde_bridge" else [m for m in HEAVY if m != "juliapkg"]
+    check = f"import sys; print([m for m in {heavy!r} if m in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{check}"], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_public_names_exist_and_are_listed():
+    assert all(hasattr(pcnde_bridge, name) for name in pcnde_bridge.__all__)
+    assert len(set(pcnde_bridge.__all__)) == len(pcnde_bridge.__all__)
+
+
+def test_errors_are_one_family():
+    errors = [
+        getattr(pcnde_bridge, name) for name in pcnde_bridge.__all__ if name.endswith("Error")
+    ]
+    assert len(errors) >= 7
+    assert all(issubclass(error, pcnde_bridge.PCNDEError) for error in errors)
+    assert issubclass(pcnde_bridge.InputError, ValueError)
+    assert issubclass(pcnde_bridge.FileError, ValueError)

@@ -1,0 +1,100 @@
+"""Relative errors as section 3.3 of the paper defines them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import InputError
+from pcnde_bridge.metrics import (
+    AREA_MARGIN,
+    compared,
+    error_table,
+    pooled_errors,
+    relative_error,
+)
+
+
+def by_hand(predicted, truth):
+    return np.sqrt(((predicted - truth) ** 2).sum()) / np.sqrt((truth**2).sum())
+
+
+@pytest.fixture(scope="module")
+def predicted(small_cases):
+    rng = np.random.default_rng(0)
+    return {
+        name: getattr(small_cases, name) * (1 + 0.1 * rng.normal(size=small_cases.flow.shape))
+        for name in ("flow", "area", "pressure")
+    }
+
+
+def test_relative_error_of_known_numbers():
+    assert relative_error(np.array([3.0, 0.0]), np.array([0.0, 4.0])) == 5 / 4
+    assert relative_error(np.ones((2, 3)), np.ones((2, 3))) == 0.0
+    assert relative_error(np.zeros((2, 2, 2)), np.ones((2, 2, 2))) == 1.0
+
+
+def test_it_does_not_depend_on_the_unit():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 3, 4))
+    assert relative_error(1e5 * a, 1e5 * b) == pytest.approx(relative_error(a, b), rel=1e-12)
+
+
+def test_the_area_is_compared_without_five_points_at_either_end(small_cases):
+    assert AREA_MARGIN == 5
+    truth = small_cases.area
+    wrong_ends = truth.copy()
+    wrong_ends[..., :5] = wrong_ends[..., -5:] = 99.0
+    errors = pooled_errors({"flow": wrong_ends, "area": wrong_ends}, small_cases)
+    assert errors["area"] == 0.0
+    assert errors["flow"] > 1.0
+    for inside in (5, -6):
+        wrong = truth.copy()
+        wrong[..., inside] *= 2
+        assert pooled_errors({"area": wrong}, small_cases)["area"] > 0.01
+
+
+def test_a_short_vessel_keeps_its_area():
+    assert compared("area", np.ones((2, 10))).shape == (2, 10)
+    assert compared("area", np.ones((2, 11))).shape == (2, 1)
+    assert compared("pressure", np.ones((2, 21))).shape == (2, 21)
+
+
+def test_table_by_hand(small_cases, predicted):
+    table = error_table(predicted, small_cases)
+    assert list(table.columns) == ["flow", "area", "pressure"]
+    assert table.index.names == ["geometry", "waveform"]
+    expected_keys = [(g, w) for g in (1, 2, 3) for w in range(4)]
+    assert list(table.index) == [*expected_keys, ("pooled", "pooled")]
+    for name, values in predicted.items():
+        part = slice(5, -5) if name == "area" else slice(None)
+        truth = getattr(small_cases, name)[..., part]
+        for i in range(12):
+            assert table[name].iloc[i] == pytest.approx(
+                by_hand(values[i, ..., part], truth[i]), rel=1e-12
+            )
+        pooled = by_hand(values[..., part], truth)
+        assert table[name].iloc[-1] == pytest.approx(pooled, rel=1e-12)
+    assert table.iloc[-1].to_dict() == pooled_errors(predicted, small_cases)
+
+
+def test_pooled_is_not_the_mean_of_the_cases(small_cases):
+    values = small_cases.pressure.copy()
+    values[0] *= 2
+    table = error_table({"pressure": values}, small_cases)["pressure"]
+    size = [np.linalg.norm(p) for p in small_cases.pressure]
+    assert table.iloc[-1] == pytest.approx(size[0] / np.linalg.norm(size))
+    assert table.iloc[-1] > 2 * table.iloc[:-1].mean()
+
+
+def test_errors(small_cases, predicted):
+    with pytest.raises(InputError, match=r"shape \(2,\) with shape \(3,\)"):
+        relative_error(np.ones(2), np.ones(3))
+    with pytest.raises(InputError, match="truth is zero"):
+        relative_error(np.ones(2), np.zeros(2))
+    for part in (small_cases.select([0, 1]), small_cases):
+        wrong = {"flow": predicted["flow"][:5]}
+        with pytest.raises(InputError, match="Cannot compare"):
+            error_table(wrong, part)
+    with pytest.raises(InputError, match="Cannot compare"):
+        pooled_errors({"flow": predicted["flow"][:, :-1]}, small_cases)

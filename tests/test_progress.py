@@ -1,0 +1,110 @@
+"""Progress of training, in a terminal and in a log file."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from pcnde_bridge import progress
+from pcnde_bridge.history import Iteration
+from pcnde_bridge.progress import TrainingProgress
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=clock.monotonic))
+    return clock
+
+
+def record(number, stage="flow", epoch=1):
+    return Iteration(stage, epoch, 1, number, 0.5 / number, 0.1 * number)
+
+
+def log():
+    return Console(file=io.StringIO(), force_terminal=False, width=200)
+
+
+def test_a_log_has_a_line_now_and_then(clock):
+    console = log()
+    with TrainingProgress(100, console=console) as bar:
+        for number in range(1, 101):
+            clock.now += 1.0
+            bar(record(number))
+    lines = console.file.getvalue().splitlines()
+    assert len(lines) == 10
+    assert lines[0] == (
+        "flow, epoch 1: iteration 10 of 100, loss 5.000e-02, elapsed 10 s, remaining 90 s"
+    )
+    assert "iteration 90 of 100" in lines[8]
+    assert lines[8].endswith("elapsed 90 s, remaining 10 s")
+
+
+def test_every_iteration_with_another_interval(clock, monkeypatch):
+    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(4, console=console) as bar:
+        for number in range(1, 5):
+            clock.now += 2.0
+            bar(record(number, "temporal_pressure"))
+    lines = console.file.getvalue().splitlines()
+    assert [line.split(", loss")[0] for line in lines] == [
+        f"temporal pressure: iteration {n} of 4" for n in range(1, 5)
+    ]
+    assert [line.split("remaining ")[1] for line in lines] == ["6 s", "4 s", "2 s", "0 s"]
+
+
+def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
+    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(100, done=90, console=console) as bar:
+        clock.now += 3.0
+        bar(record(1))
+    assert "iteration 91 of 100" in console.file.getvalue()
+    assert "elapsed 3 s, remaining 27 s" in console.file.getvalue()
+
+
+def test_a_short_run_leaves_the_log_empty(clock):
+    console = log()
+    with TrainingProgress(5, console=console) as bar:
+        for number in range(1, 6):
+            clock.now += 1.0
+            bar(record(number))
+    assert console.file.getvalue() == ""
+
+
+def test_a_terminal_has_a_bar_that_counts():
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, color_system=None)
+    with TrainingProgress(10, done=2, console=console) as bar:
+        bar(record(3, epoch=7))
+        bar(record(4, epoch=7))
+        bar._bar.refresh()
+        shown = console.file.getvalue()
+    assert "4/10" in shown
+    assert "flow, epoch 7" in shown
+    assert "loss 1.250e-01" in shown
+    assert "iteration 4" not in shown
+    assert "10/10" not in shown
+    assert "10/10" in console.file.getvalue()
+
+
+def test_an_interrupted_bar_stays_where_it_was():
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, color_system=None)
+    with pytest.raises(KeyboardInterrupt), TrainingProgress(10, console=console) as bar:
+        bar(record(1))
+        raise KeyboardInterrupt
+    assert "1/10" in console.file.getvalue()
+    assert "10/10" not in console.file.getvalue()

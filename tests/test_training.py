@@ -1,0 +1,498 @@
+"""The training loop: its plan, its state, and that no interruption changes the result."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import PAPER, PCNDE, InputError
+from pcnde_bridge.engines.base import FlowInputs, Grid
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.history import Iteration, from_array, to_array, to_frame
+from pcnde_bridge.inference import solve_area, undeformed
+from pcnde_bridge.parameters import STAGES, initial_parameters
+from pcnde_bridge.training import Trainer, TrainingState, Unit, check, count_iterations, plan
+
+
+def without_seconds(history):
+    return [record[:-1] for record in history]
+
+
+def train(cases, config, engine, seed=0, **options):
+    trainer = Trainer(cases, config, engine, **options)
+    return trainer.run(trainer.start(seed))
+
+
+@pytest.fixture(scope="module")
+def reference(small_cases, toy_config):
+    """An uninterrupted run of the toy engine."""
+    from conftest import ToyEngine
+
+    return train(small_cases, toy_config, ToyEngine())
+
+
+def interrupt_at(number, records=None):
+    """Callback that raises at the given record, counted from 0."""
+    seen = [] if records is None else records
+
+    def on_record(record):
+        seen.append(record)
+        if len(seen) == number + 1:
+            raise KeyboardInterrupt
+
+    return on_record
+
+
+# ---- plan ------------------------------------------------------------------
+
+
+def test_plan_in_order():
+    config = PAPER.replace(flow={"epochs": 5, "couple_every": 2})
+    assert plan(config, 2) == [
+        Unit("flow", 1, 1),
+        Unit("flow", 1, 2),
+        Unit("flow", 2, 1),
+        Unit("flow", 2, 2),
+        Unit("coupling", 2, 1),
+        Unit("flow", 3, 1),
+        Unit("flow", 3, 2),
+        Unit("flow", 4, 1),
+        Unit("flow", 4, 2),
+        Unit("coupling", 4, 1),
+        Unit("flow", 5, 1),
+        Unit("flow", 5, 2),
+        Unit("temporal_pressure", 1, 1),
+        Unit("spatial_pressure", 1, 1),
+    ]
+
+
+def test_the_papers_plan():
+    units = plan(PAPER, 7)
+    assert [u.epoch for u in units if u.work == "coupling"] == [25, 50, 75, 100]
+    assert sum(u.work == "flow" for u in units) == 700
+    assert units[-3:] == [
+        Unit("coupling", 100, 1),
+        Unit("temporal_pressure", 1, 1),
+        Unit("spatial_pressure", 1, 1),
+    ]
+    assert count_iterations(PAPER, 7) == 700 * 5 + 4 * 7 * (5 + 5) + 250 + 75
+
+
+def test_iterations_are_counted_as_they_come(reference, toy_config):
+    assert len(reference.history) == count_iterations(toy_config, 3)
+    expected = []
+    for unit in plan(toy_config, 3):
+        if unit.work == "coupling":
+            expected += [
+                (stage, unit.epoch, batch, i)
+                for stage in ("intermediate_area", "fourier_area")
+                for batch in (1, 2, 3)
+                for i in (1, 2, 3)
+            ]
+        else:
+            expected += [
+                (unit.work, unit.epoch, unit.batch, i)
+                for i in range(1, getattr(toy_config, unit.work).iterations + 1)
+            ]
+    assert [record[:4] for record in reference.history] == expected
+    assert np.isfinite([r.loss for r in reference.history]).all()
+    seconds = [r.seconds for r in reference.history]
+    assert seconds == sorted(seconds)
+    assert seconds[0] > 0
+    assert reference.seconds == seconds[-1]
+
+
+# ---- first state -----------------------------------------------------------
+
+
+def test_batches_are_a_seeded_partition_of_the_cases(small_cases, toy_config):
+    state = TrainingState.start(small_cases, toy_config, 3)
+    assert [len(batch) for batch in state.batches] == [5, 5, 2]
+    order = np.concatenate(state.batches)
+    assert sorted(order) == list(range(12))
+    assert list(order) != list(range(12))
+    again = TrainingState.start(small_cases, toy_config, 3)
+    assert np.array_equal(np.concatenate(again.batches), order)
+    other = TrainingState.start(small_cases, toy_config, 4)
+    assert not np.array_equal(np.concatenate(other.batches), order)
+    assert state.parameters == initial_parameters(toy_config, 20, 21, 3)
+    assert (state.finished, state.history, state.couplings, state.seconds) == (0, (), (), 0.0)
+
+
+def test_one_batch_where_there_are_few_cases(small_cases, toy_config):
+    state = TrainingState.start(small_cases.select([0, 1]), toy_config, 0)
+    assert [sorted(batch) for batch in state.batches] == [[0, 1]]
+
+
+# ---- check -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"flow": {"epochs": 3, "couple_every": 4}}, r"flow\.epochs=3 .*flow\.couple_every=4"),
+        ({"fourier_area": {"terms": 11}}, r"fourier_area\.terms=11 needs at least 22 .*have 20"),
+        ({"physics": {"stenosis_position": 1.3}}, r"stenosis_position=1\.3 cm .*middle third"),
+        ({"physics": {"stenosis_position": 2.7}}, r"stenosis_position=2\.7 cm .*0 to 4 cm"),
+        ({"physics": {"stenosis_position": -2.0}}, r"stenosis_position=-2\.0 cm"),
+    ],
+)
+def test_settings_that_do_not_fit_the_cases(
+    small_cases, toy_config, toy_engine, tmp_path, change, message
+):
+    config = toy_config.replace(**change)
+    with pytest.raises(InputError, match=message):
+        check(small_cases, config)
+    with pytest.raises(InputError, match=message):
+        PCNDE.fit(small_cases, config, engine=toy_engine, checkpoint=tmp_path / "c")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_settings_at_the_limit_fit(small_cases, toy_config):
+    check(small_cases, toy_config.replace(flow={"couple_every": 4}))
+    check(small_cases, toy_config.replace(fourier_area={"terms": 10}))
+
+
+# ---- what the stages are given -----------------------------------------------
+
+
+def test_batches_and_the_smaller_last_one_reach_the_stages(small_cases, toy_config, toy_engine):
+    state = train(small_cases, toy_config, toy_engine)
+    fits = toy_engine.flow.fits
+    assert len(fits) == 4 * 3
+    for number, (_, inputs, target) in enumerate(fits):
+        batch = state.batches[number % 3]
+        assert np.array_equal(inputs.inflow, small_cases.inflow[batch])
+        assert np.array_equal(target, small_cases.flow[batch])
+    for stage in (toy_engine.intermediate_area, toy_engine.fourier_area):
+        assert [len(target) for _, _, target in stage.fits] == [5, 5, 2] * 2
+        assert np.array_equal(stage.fits[2][2], small_cases.area[state.batches[2]])
+    for stage in (toy_engine.temporal_pressure, toy_engine.spatial_pressure):
+        ((_, _, target),) = stage.fits
+        assert np.allclose(target * 133_322.0, small_cases.pressure, rtol=1e-14)
+
+
+def test_each_fit_starts_where_the_last_one_ended(small_cases, toy_config, toy_engine):
+    state = train(small_cases, toy_config, toy_engine)
+    first = initial_parameters(toy_config, 20, 21, 0)
+    for name in STAGES:
+        starts = [start for start, _, _ in getattr(toy_engine, name).fits]
+        assert np.array_equal(starts[0], getattr(first, name))
+        for before, after in pairwise(starts):
+            assert not np.array_equal(before, after)
+        assert not np.array_equal(starts[-1], getattr(state.parameters, name))
+
+
+def test_restart_begins_every_batch_of_the_fourier_area_anew(small_cases, toy_config, toy_engine):
+    config = toy_config.replace(fourier_area={"restart": True})
+    train(small_cases, config, toy_engine)
+    starts = [start for start, _, _ in toy_engine.fourier_area.fits]
+    assert len(starts) == 6
+    for start in starts:
+        assert np.array_equal(start, [1.0] * 21 + [0.0] * 21)
+    continued = [start for start, _, _ in toy_engine.intermediate_area.fits]
+    assert not np.array_equal(continued[0], continued[1])
+
+
+def test_the_area_is_coupled_into_the_flow(small_cases, toy_config, toy_engine):
+    """Epochs 1 and 2 see S_u, 3 and 4 the area that the first coupling predicts."""
+    state = train(small_cases, toy_config, toy_engine)
+    assert len(state.couplings) == 2
+    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    before = undeformed(small_cases.area_undeformed, 20)
+    first = state.couplings[0]
+    flow = toy_engine.flow.solve(
+        first.flow, FlowInputs(small_cases.inflow, before), grid, toy_config
+    )
+    after = solve_area(toy_engine, first, flow, small_cases.area_undeformed, grid, toy_config)
+    assert np.abs(after - before).max() > 1e-3
+    for number, (_, inputs, _) in enumerate(toy_engine.flow.fits):
+        batch = state.batches[number % 3]
+        expected = before if number < 6 else after
+        assert np.array_equal(inputs.area, expected[batch])
+
+
+def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
+    found = {}
+    for anchor in ("undeformed", "last_cycle", "last_instant"):
+        toy_engine.fourier_area.fits.clear()
+        config = toy_config.replace(fourier_area={"anchor": anchor})
+        state = train(small_cases, config, toy_engine)
+        first, grid = state.couplings[0], Grid(small_cases.time, small_cases.z, 1.0)
+        s_u = small_cases.area_undeformed
+        flow = toy_engine.flow.solve(
+            first.flow, FlowInputs(small_cases.inflow, undeformed(s_u, 20)), grid, config
+        )
+        from pcnde_bridge.engines.base import IntermediateAreaInputs
+
+        whole = toy_engine.intermediate_area.solve(
+            first.intermediate_area, IntermediateAreaInputs(flow, s_u), grid, config
+        )
+        at = {"undeformed": 0, "last_cycle": 40, "last_instant": 59}[anchor]
+        found[anchor] = toy_engine.fourier_area.fits[0][1].initial_area
+        assert np.array_equal(found[anchor], whole[state.batches[0], at])
+    assert not np.allclose(found["last_cycle"], found["last_instant"], rtol=1e-6)
+
+
+# ---- interruption and continuation -------------------------------------------
+
+MOMENTS = {
+    "first iteration": lambda r: True,
+    "flow, second batch": lambda r: r[:3] == ("flow", 1, 2),
+    "flow, after a coupling": lambda r: r[:4] == ("flow", 3, 3, 2),
+    "intermediate area": lambda r: r[:3] == ("intermediate_area", 2, 2),
+    "fourier area": lambda r: r[:4] == ("fourier_area", 4, 3, 3),
+    "temporal pressure": lambda r: r[:4] == ("temporal_pressure", 1, 1, 4),
+    "spatial pressure": lambda r: r[:4] == ("spatial_pressure", 1, 1, 6),
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_a_continued_run_repeats_the_interrupted_one(
+    small_cases, toy_config, toy_engine, reference, tmp_path, moment
+):
+    number = next(i for i, r in enumerate(reference.history) if MOMENTS[moment](r))
+    path = tmp_path / "checkpoint"
+    with pytest.raises(KeyboardInterrupt):
+        train(
+            small_cases,
+            toy_config,
+            toy_engine,
+            checkpoint=path,
+            on_record=interrupt_at(number),
+        )
+    records = []
+    trainer = Trainer(
+        small_cases, toy_config, toy_engine, checkpoint=path, on_record=records.append
+    )
+    state = trainer.start(0)
+    kept = len(state.history)
+    units = plan(toy_config, 3)
+    interrupted = reference.history[number]
+    works = {"intermediate_area": "coupling", "fourier_area": "coupling"}
+    unit = units[state.finished]
+    assert unit.work == works.get(interrupted.stage, interrupted.stage)
+    assert unit.epoch == interrupted.epoch
+    assert unit.work != "flow" or unit.batch == interrupted.batch
+    assert kept <= number
+    final = trainer.run(state)
+    assert final.parameters == reference.parameters
+    assert final.couplings == reference.couplings
+    assert without_seconds(final.history) == without_seconds(reference.history)
+    assert without_seconds(records) == without_seconds(reference.history[kept:])
+    seconds = [r.seconds for r in final.history]
+    assert seconds == sorted(seconds)
+
+
+def test_interrupted_again_and_again(small_cases, toy_config, toy_engine, reference, tmp_path):
+    path, runs = tmp_path / "checkpoint", 0
+    while True:
+        runs += 1
+        assert runs < 30
+        try:
+            final = train(
+                small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(20)
+            )
+        except KeyboardInterrupt:
+            continue
+        break
+    assert runs > 3
+    assert final.parameters == reference.parameters
+    assert without_seconds(final.history) == without_seconds(reference.history)
+
+
+def test_a_finished_run_has_nothing_left_to_do(
+    small_cases, toy_config, toy_engine, reference, tmp_path
+):
+    path = tmp_path / "checkpoint"
+    train(small_cases, toy_config, toy_engine, checkpoint=path)
+    final = train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(0))
+    assert final.parameters == reference.parameters
+    assert final.finished == len(plan(toy_config, 3))
+
+
+def test_the_checkpoint_follows_every_epoch(small_cases, toy_config, toy_engine, tmp_path):
+    """Without Ctrl-C, after a crash say, at most an epoch is lost."""
+    path, finished = tmp_path / "checkpoint", []
+
+    def look(record):
+        state = Trainer(small_cases, toy_config, toy_engine, checkpoint=path).start(0)
+        finished.append(state.finished)
+
+    train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=look)
+    assert sorted(set(finished)) == [0, 3, 6, 7, 10, 13, 14, 15]
+
+
+@pytest.mark.parametrize("number", [4, 20, 30, 58])
+def test_the_jax_engine_continues_bit_for_bit(
+    small_cases, small_split, small_config, small_model, tmp_path, number
+):
+    cases = small_cases.split(small_split).train
+    path = tmp_path / "checkpoint"
+    options = {"engine": "jax", "seed": 0, "checkpoint": path}
+    with pytest.raises(KeyboardInterrupt):
+        PCNDE.fit(cases, small_config, progress=interrupt_at(number), **options)
+    records = []
+    model = PCNDE.fit(cases, small_config, progress=records.append, **options)
+    assert 0 < len(records) < len(small_model.history)
+    assert model.parameters == small_model.parameters
+    columns = ["stage", "epoch", "batch", "iteration", "loss"]
+    assert model.history[columns].equals(small_model.history[columns])
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from conftest import ToyEngine
+from pcnde_bridge import Cases, PCNDEConfig
+from pcnde_bridge.training import Trainer
+
+config = PCNDEConfig.from_json(open({config!r}).read())
+trainer = Trainer(Cases.load({cases!r}), config, ToyEngine(), checkpoint={checkpoint!r})
+trainer.on_record = lambda record: time.sleep(0.05)
+trainer.run(trainer.start(0))
+"""
+
+
+def test_a_killed_run_continues_to_the_same_parameters(
+    small_cases, toy_config, toy_engine, reference, tmp_path
+):
+    """SIGKILL at random moments, in a process that trains."""
+    checkpoint = tmp_path / "checkpoint"
+    small_cases.save(tmp_path / "cases.npz")
+    (tmp_path / "config.json").write_text(toy_config.to_json())
+    code = KILLED.format(
+        tests=str(Path(__file__).parent),
+        config=str(tmp_path / "config.json"),
+        cases=str(tmp_path / "cases.npz"),
+        checkpoint=str(checkpoint),
+    )
+    rng = np.random.default_rng(7)
+    finished = 0
+    for _ in range(3):
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE)
+        deadline = time.monotonic() + 60
+        while not checkpoint.exists() or checkpoint.stat().st_mtime_ns == before:
+            assert process.poll() is None, process.stderr.read()
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0.0, 0.3))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stderr.close()
+        assert process.returncode == -signal.SIGKILL
+        state = Trainer(small_cases, toy_config, toy_engine, checkpoint=checkpoint).start(0)
+        assert finished <= state.finished < len(plan(toy_config, 3))
+        finished = state.finished
+    assert finished > 0
+    final = train(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
+    assert final.parameters == reference.parameters
+    assert without_seconds(final.history) == without_seconds(reference.history)
+
+
+# ---- checkpoints that do not fit --------------------------------------------
+
+
+@pytest.fixture
+def checkpoint(small_cases, toy_config, toy_engine, tmp_path):
+    path = tmp_path / "run.checkpoint"
+    with pytest.raises(KeyboardInterrupt):
+        train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(40))
+    return path
+
+
+def refuse(record):
+    raise AssertionError("training began")
+
+
+def test_a_checkpoint_of_another_run_is_refused(
+    small_cases, toy_config, toy_engine, checkpoint, tmp_path
+):
+    whole = checkpoint.read_bytes()
+    options = {"engine": toy_engine, "checkpoint": checkpoint, "progress": refuse}
+    with pytest.raises(InputError, match=r"run\.checkpoint belongs to a run with seed 0, not 1"):
+        PCNDE.fit(small_cases, toy_config, seed=1, **options)
+    with pytest.raises(InputError, match=r"run\.checkpoint belongs to a run with another config"):
+        PCNDE.fit(small_cases, toy_config.replace(flow={"iterations": 9}), **options)
+    for other in (small_cases.select(list(range(11))), small_cases.select(list(range(12))[::-1])):
+        with pytest.raises(InputError, match=r"run\.checkpoint belongs to a run on other cases"):
+            PCNDE.fit(other, toy_config, **options)
+    assert checkpoint.read_bytes() == whole
+
+
+def test_a_damaged_checkpoint_is_refused_and_kept(small_cases, toy_config, toy_engine, checkpoint):
+    whole = checkpoint.read_bytes()
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 1
+    for content in (whole[: len(whole) // 2], b"", b"hello", bytes(flipped)):
+        checkpoint.write_bytes(content)
+        with pytest.raises(FileError, match=r"run\.checkpoint"):
+            PCNDE.fit(
+                small_cases, toy_config, engine=toy_engine, checkpoint=checkpoint, progress=refuse
+            )
+        assert checkpoint.read_bytes() == content
+
+
+def test_a_model_is_no_checkpoint(small_cases, toy_config, toy_engine, tmp_path):
+    path = tmp_path / "model"
+    PCNDE.fit(small_cases, toy_config, engine=toy_engine, progress=False).save(path)
+    with pytest.raises(FileError, match="not a pcnde_bridge checkpoint but a 'pcnde-model'"):
+        PCNDE.fit(small_cases, toy_config, engine=toy_engine, checkpoint=path, progress=refuse)
+
+
+def test_a_checkpoint_with_something_missing(
+    small_cases, toy_config, toy_engine, checkpoint, monkeypatch
+):
+    from pcnde_bridge import training
+    from pcnde_bridge.archive import read_archive
+
+    facts, arrays = read_archive(checkpoint, "pcnde-checkpoint", 1, "checkpoint")
+    losses = [("facts", name) for name in ("seed", "finished", "config", "cases", "couplings")]
+    losses += [("arrays", name) for name in ("batches", "history", "flow", "coupling_0_flow")]
+    for kind, name in losses:
+        broken = {"facts": dict(facts), "arrays": dict(arrays)}
+        del broken[kind][name]
+        monkeypatch.setattr(training, "read_archive", lambda *_, b=broken: tuple(b.values()))
+        with pytest.raises(FileError, match="not a whole checkpoint"):
+            Trainer(small_cases, toy_config, toy_engine, checkpoint=checkpoint).start(0)
+
+
+def test_a_checkpoint_that_cannot_be_written_is_found_before_training(
+    small_cases, toy_config, toy_engine, tmp_path
+):
+    (tmp_path / "file").write_text("")
+    bad = [tmp_path / "nowhere" / "c", tmp_path / "file" / "c", tmp_path]
+    if Path("/proc/self").is_dir():
+        bad.append(Path("/proc/self/c"))
+    for path in bad:
+        with pytest.raises(FileError):
+            PCNDE.fit(small_cases, toy_config, engine=toy_engine, checkpoint=path, progress=refuse)
+    assert os.listdir(tmp_path) == ["file"]  # noqa: PTH208
+
+
+# ---- history -----------------------------------------------------------------
+
+
+def test_history_as_numbers_and_as_a_frame(reference):
+    array = to_array(reference.history)
+    assert array.shape == (len(reference.history), 6)
+    assert from_array(array) == list(reference.history)
+    frame = to_frame(reference.history)
+    assert list(frame.columns) == ["stage", "epoch", "batch", "iteration", "loss", "seconds"]
+    assert len(frame) == len(reference.history)
+    assert Iteration(*frame.iloc[7]) == reference.history[7]
+
+
+def test_an_empty_history():
+    assert to_array([]).shape == (0, 6)
+    assert from_array(to_array([])) == []
+    assert list(to_frame([]).columns) == list(Iteration._fields)
