@@ -56,7 +56,10 @@ def select_engine(name: EngineName | Engine = "auto") -> Engine:
 
 def why_not_julia() -> str | None:
     """Reason why Julia is not usable as the machine is, found without starting it."""
-    return "the Julia engine is not part of this version yet."
+    from pcnde_bridge.engines.julia import julia_status
+
+    status = julia_status()
+    return None if status.usable else status.message
 
 
 @cache
@@ -73,6 +76,6 @@ def _jax() -> Engine:
 
 @cache
 def _julia() -> Engine:
-    raise EngineUnavailableError(
-        "The Julia engine is not part of this version yet. Use engine='jax'."
-    )
+    from pcnde_bridge.engines.julia import JuliaEngine
+
+    return JuliaEngine()

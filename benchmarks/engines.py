@@ -1,0 +1,175 @@
+"""Both engines side by side: latency, training, inference, memory.
+
+Usage: ``python benchmarks/engines.py [FOLDER_OR_FILE]``, with the published data set where
+none is named and it is on this machine, else with cases of the same size by formula.  Each
+engine runs in a process of its own, one after the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import PAPER
+from pcnde_bridge.datasets import find_published, load_cases
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.base import (
+    FlowInputs,
+    FourierAreaInputs,
+    Grid,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.inference import undeformed
+from pcnde_bridge.parameters import initial_parameters
+
+BATCHES = 20
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", nargs="?", help="cases; default: the published data set")
+    parser.add_argument("--engine", choices=["julia", "jax"], help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.engine:
+        print(json.dumps(measure(arguments.engine, read(arguments.data))))
+        return
+    results = {}
+    for engine in ("julia", "jax"):
+        command = [sys.executable, __file__, "--engine", engine]
+        command += [arguments.data] if arguments.data else []
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(f"{engine}: {done.stderr.strip().splitlines()[-1]}")
+        else:
+            results[engine] = json.loads(done.stdout.splitlines()[-1])
+    rows = list(next(iter(results.values())))
+    print(f"{'':48}" + "".join(f"{engine:>12}" for engine in results))
+    for row in rows:
+        print(f"{row:48}" + "".join(f"{result[row]:12.4g}" for result in results.values()))
+
+
+def read(data: str | None) -> Cases:
+    if data is None and find_published() is None:
+        return cases_by_formula()
+    return load_cases(data or find_published())
+
+
+def cases_by_formula() -> Cases:
+    """One hundred cases of the published size."""
+    time_, z = np.arange(100) / 100, np.linspace(0, 4, 101)
+    geometry, waveform = (a.ravel() for a in np.meshgrid(range(1, 11), range(10), indexing="ij"))
+    bump = np.exp(-(((z - 2) / 0.25) ** 2))
+    area_undeformed = 0.125 * (1 - 0.05 * geometry[:, None] * bump)
+    wave = 0.2 * np.cos(2 * np.pi * time_) + 0.1 * np.sin(4 * np.pi * time_ + 1)
+    inflow = 1.2 + 0.3 * waveform[:, None] * wave
+    flow = inflow[:, :, None] * (1 - 0.02 * z / 4 * np.cos(2 * np.pi * time_)[:, None])
+    pressure = 1.09e5 * flow[:, :, -1:] + 2e3 * geometry[:, None, None] * flow * (z < 2)
+    area = area_undeformed[:, None] * (1 + pressure / 4.9e6) ** 2
+    labels = {"geometry": geometry, "waveform": waveform}
+    return Cases(flow, area, pressure, area_undeformed, time_, z, period=1.0, labels=labels)
+
+
+def measure(name: str, cases: Cases) -> dict[str, float]:
+    """Seconds, milliseconds and megabytes of one engine, in this fresh process."""
+    results = {}
+    started = time.perf_counter()
+    engine = select_engine(name)
+    results["start of the engine, s"] = time.perf_counter() - started
+
+    train = cases.split("paper").train
+    grid = Grid(train.time, train.z, train.period)
+    first = initial_parameters(PAPER, train.n_times, train.n_points, seed=0)
+    area = undeformed(train.area_undeformed, train.n_times)
+    order = np.random.default_rng(0).permutation(train.n_cases)
+    batches = [order[i : i + PAPER.batch_size] for i in range(0, train.n_cases, PAPER.batch_size)]
+
+    vector = first.flow
+    seconds, iterations = [], 0
+    for number in range(BATCHES):
+        batch = batches[number % len(batches)]
+        began = time.perf_counter()
+        fit = engine.flow.fit(
+            vector,
+            FlowInputs(train.inflow[batch], area[batch]),
+            train.flow[batch],
+            grid,
+            PAPER,
+            PAPER.flow.iterations,
+        )
+        seconds.append(time.perf_counter() - began)
+        vector = fit.parameters
+        iterations = len(fit.losses) - 1
+    results["first batch of the flow stage, s"] = seconds[0]
+    results["flow, BFGS iteration on 12 cases, ms"] = 1e3 * np.median(seconds) / iterations
+    parameters = first.replace(flow=vector)
+
+    flow = engine.flow.solve(vector, FlowInputs(train.inflow, area), grid, PAPER)
+    batch = batches[0]
+    pressure = train.pressure / PAPER.physics.reference_pressure
+    fits = {
+        "intermediate_area": (
+            IntermediateAreaInputs(flow[batch], train.area_undeformed[batch]),
+            train.area[batch],
+        ),
+        "fourier_area": (
+            FourierAreaInputs(flow[batch], train.area_undeformed[batch]),
+            train.area[batch],
+        ),
+        "temporal_pressure": (
+            TemporalPressureInputs(flow, train.area, train.area_undeformed),
+            pressure,
+        ),
+        "spatial_pressure": (
+            SpatialPressureInputs(pressure, flow, train.area_undeformed),
+            pressure,
+        ),
+    }
+    for stage, (inputs, target) in fits.items():
+
+        def fit_stage(stage=stage, inputs=inputs, target=target) -> int:
+            start = getattr(parameters, stage)
+            fit = getattr(engine, stage).fit(start, inputs, target, grid, PAPER, 5)
+            return max(len(fit.losses) - 1, 1)
+
+        taken, count = timed(fit_stage)
+        results[f"{stage}, BFGS iteration, ms"] = 1e3 * taken / count
+
+    def infer(count: int) -> Callable[[], None]:
+        some = train.select(slice(0, count))
+
+        def run() -> None:
+            engine.predict(parameters, some.inflow, some.area_undeformed, grid, PAPER)
+
+        return run
+
+    results["inference, 1 case alone, ms"] = 1e3 * timed(infer(1))[0]
+    results["inference, per case of 81, ms"] = 1e3 * timed(infer(train.n_cases))[0] / train.n_cases
+    # Linux counts kilobytes, macOS bytes.
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    results["peak memory, MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return {key: float(value) for key, value in results.items()}
+
+
+def timed(run: Callable[[], object]) -> tuple[float, object]:
+    """Median seconds of five runs after a first one, and what the last returned."""
+    run()
+    seconds = []
+    for _ in range(5):
+        began = time.perf_counter()
+        result = run()
+        seconds.append(time.perf_counter() - began)
+    return float(np.median(seconds)), result
+
+
+if __name__ == "__main__":
+    main()

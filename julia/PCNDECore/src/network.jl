@@ -1,0 +1,158 @@
+# The fully connected network: a Lux `Chain`, and kernels that evaluate and
+# differentiate it in place.
+
+const ACTIVATIONS = Dict{String, Function}(
+    "tanh" => tanh,
+    "gelu" => NNlib.gelu,
+    "relu" => NNlib.relu,
+    "sigmoid" => NNlib.sigmoid,
+    "swish" => NNlib.swish,
+)
+
+"""
+    chain(widths, activation)
+
+Lux `Chain` of `Dense` layers from `widths[1]` inputs to `widths[end]` outputs; the
+last layer is linear.
+"""
+function chain(widths::AbstractVector{<:Integer}, activation::AbstractString)
+    σ = ACTIVATIONS[activation]
+    last = length(widths) - 1
+    layers = (
+        Dense(widths[i] => widths[i + 1], i < last ? σ : identity) for i in 1:last
+    )
+    return Chain(layers...)
+end
+
+"""
+    lux_parameters(chain, parameters)
+
+The flat parameter vector as Lux's nested parameters and states `(ps, st)`: per
+layer the weight (out × in), column by column, then the bias.
+"""
+function lux_parameters(chain::Chain, parameters::AbstractVector{<:Real})
+    _, st = Lux.setup(Random.default_rng(), chain)
+    at = 0
+    take(count) = parameters[(at + 1):(at += count)]
+    ps = map(chain.layers) do layer
+        weight = reshape(take(layer.in_dims * layer.out_dims), layer.out_dims, layer.in_dims)
+        (; weight, bias = take(layer.out_dims))
+    end
+    return ps, st
+end
+
+"""
+    Network(chain)
+
+What the kernels need of a `Chain`: its layers' matrices `[W b]` (out × in + 1), to
+be applied to inputs with a row of ones below. In the flat parameter vector a layer's
+weight and bias lie one after the other, so each matrix is one contiguous part of it.
+"""
+struct Network{F}
+    activation::F
+    matrices::Vector{Matrix{Float64}}
+end
+
+function Network(chain::Chain)
+    layers = values(chain.layers)
+    # Lux replaces some activations by faster ones of the same accuracy; so do we.
+    σ = NNlib.fast_act(first(layers).activation, [0.0])
+    return Network(σ, [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers])
+end
+
+Base.length(network::Network) = sum(length, network.matrices)
+
+"""
+    load!(network, parameters)
+
+Set the matrices from the flat parameter vector.
+"""
+function load!(network::Network, parameters::AbstractVector{Float64})
+    needed, given = length(network), length(parameters)
+    if needed != given
+        throw(DimensionMismatch("the network has $needed parameters, not $given"))
+    end
+    at = 0
+    for matrix in network.matrices
+        copyto!(matrix, 1, parameters, at + 1, length(matrix))
+        at += length(matrix)
+    end
+    return network
+end
+
+"""
+    derivative(activation, x, y)
+
+dy/dx of `y = activation(x)`.
+"""
+derivative(::Union{typeof(tanh), typeof(NNlib.tanh_fast)}, x, y) = 1 - y * y
+derivative(::Union{typeof(NNlib.sigmoid), typeof(NNlib.sigmoid_fast)}, x, y) = y * (1 - y)
+derivative(::typeof(NNlib.relu), x, y) = x > 0 ? one(y) : zero(y)
+function derivative(::typeof(NNlib.swish), x, y)
+    s = NNlib.sigmoid_fast(x)
+    return s + y * (1 - s)
+end
+derivative(::typeof(NNlib.gelu), x, y) = NNlib.deriv_gelu(x)
+
+"""
+    Activations(widths, columns)
+
+Room for the hidden layers' values before and after their activation. `after` has a
+row of ones below, which the next layer's bias multiplies.
+"""
+struct Activations
+    before::Vector{Matrix{Float64}}
+    after::Vector{Matrix{Float64}}
+end
+
+function Activations(widths::AbstractVector{<:Integer}, columns::Integer)
+    before = [zeros(width, columns) for width in widths]
+    after = [ones(width + 1, columns) for width in widths]
+    return Activations(before, after)
+end
+
+hidden_widths(network::Network) = [size(m, 1) for m in network.matrices[1:(end - 1)]]
+
+"""
+    forward!(activations, network, columns)
+
+Evaluate the hidden layers from `before[1]`, for the first `columns` columns.
+"""
+function forward!(a::Activations, network::Network, columns::Integer)
+    for layer in eachindex(a.before)
+        before, after = a.before[layer], a.after[layer]
+        if layer > 1
+            mul!(
+                view(before, :, 1:columns),
+                network.matrices[layer],
+                view(a.after[layer - 1], :, 1:columns),
+            )
+        end
+        activate!(after, before, network.activation, columns)
+    end
+    return a
+end
+
+function activate!(after, before, σ::F, columns) where {F}
+    @inbounds for column in 1:columns
+        @simd ivdep for row in axes(before, 1)
+            after[row, column] = σ(before[row, column])
+        end
+    end
+    return after
+end
+
+"""
+    times_derivative!(result, factor, before, after, activation)
+
+`result = factor · dy/dx` elementwise; `factor` and `after` may have rows more.
+"""
+function times_derivative!(result, factor, before, after, σ::F) where {F}
+    @inbounds for column in axes(result, 2)
+        @simd ivdep for row in axes(result, 1)
+            result[row, column] =
+                factor[row, column] * derivative(σ, before[row, column], after[row, column])
+        end
+    end
+    return result
+end

@@ -1,0 +1,86 @@
+# Settings, one struct per group; names, meanings and defaults are those of the
+# Python package's `config.py`, which validates them.
+
+"""
+Blood, wall and stenosis, CGS: g/cm³, poise, dyn/cm², cm.
+"""
+Base.@kwdef struct Physics
+    density::Float64 = 1.06
+    viscosity::Float64 = 0.04
+    young_modulus::Float64 = 1.5e7
+    wall_thickness::Float64 = 0.05
+    reference_pressure::Float64 = 133_322.0
+    stenosis_length::Float64 = 0.5
+    stenosis_position::Float64 = 2.0
+    turbulent_coefficient::Float64 = 1.52
+end
+
+"""
+`Optim.BFGS` with `LineSearches.BackTracking`.
+"""
+Base.@kwdef struct Optimiser
+    initial_step_norm::Float64 = 0.01
+    sufficient_decrease::Float64 = 1e-4
+    shrink_most::Float64 = 0.1
+    shrink_least::Float64 = 0.5
+    max_backtracks::Int = 1000
+    gradient_tolerance::Float64 = 1e-8
+end
+
+"""
+Momentum equation; `first_step` in cm, `nothing` for the grid's first spacing.
+"""
+Base.@kwdef struct FlowStage
+    hidden::Vector{Int} = [8, 8, 8, 8]
+    activation::String = "tanh"
+    rtol::Float64 = 1e-3
+    atol::Float64 = 1e-6
+    first_step::Union{Nothing, Float64} = nothing
+    max_steps::Int = 256
+    loss::String = "mean"
+end
+
+"""
+Continuity equation in time; the loss is taken on the last of the `cycles`.
+"""
+Base.@kwdef struct IntermediateAreaStage
+    cycles::Int = 3
+end
+
+"""
+Periodic area; `frequency` and `sides` select the published code's variants.
+"""
+Base.@kwdef struct FourierAreaStage
+    terms::Int = 10
+    frequency::String = "harmonic"
+    sides::String = "two"
+end
+
+"""
+First pressure stage.
+"""
+Base.@kwdef struct TemporalPressureStage
+    hidden::Vector{Int} = [2, 2]
+    activation::String = "tanh"
+    pressure_drop_input::String = "normalised"
+end
+
+"""
+Second pressure stage.
+"""
+Base.@kwdef struct SpatialPressureStage
+    form::String = "continuous"
+end
+
+"""
+All settings, grouped as in Python.
+"""
+Base.@kwdef struct Config
+    physics::Physics = Physics()
+    optimiser::Optimiser = Optimiser()
+    flow::FlowStage = FlowStage()
+    intermediate_area::IntermediateAreaStage = IntermediateAreaStage()
+    fourier_area::FourierAreaStage = FourierAreaStage()
+    temporal_pressure::TemporalPressureStage = TemporalPressureStage()
+    spatial_pressure::SpatialPressureStage = SpatialPressureStage()
+end

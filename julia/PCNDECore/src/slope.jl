@@ -1,0 +1,31 @@
+"""
+    slope_along_z(flow, z)
+
+∂Q/∂z, (z, …), by second-order differences: central inside, one-sided at both ends.
+
+# Arguments
+
+  - `flow`: Q, mL/s, or anything linear in it, (z, …).
+  - `z`: points, cm; the spacing may vary.
+"""
+function slope_along_z(flow::Array{Float64}, z::Vector{Float64})
+    slope = similar(flow)
+    n = length(z)
+    columns = reshape(flow, n, :)
+    result = reshape(slope, n, :)
+    @inbounds for column in axes(columns, 2)
+        before = (columns[2, column] - columns[1, column]) / (z[2] - z[1])
+        first = before
+        for i in 2:(n - 1)
+            left, right = z[i] - z[i - 1], z[i + 1] - z[i]
+            after = (columns[i + 1, column] - columns[i, column]) / right
+            result[i, column] = (right * before + left * after) / (left + right)
+            before = after
+        end
+        # The parabola through three points has the mean slope of its end and middle
+        # in between.
+        result[1, column] = 2 * first - result[2, column]
+        result[n, column] = 2 * before - result[n - 1, column]
+    end
+    return slope
+end

@@ -1,0 +1,18 @@
+@testset "bridge" begin
+    config = PCNDECore.config(
+        "flow.hidden = [3, 3]\nflow.epochs = 7\nflow.rtol = 1e-06\nbatch_size = 12",
+    )
+    @test config.flow.hidden == [3, 3] && config.flow.rtol == 1e-6
+    @test config.physics == Physics()
+    parameters = glorot(flow_widths(config.flow), MersenneTwister(1))
+    inputs = (PermutedDimsArray(permutedims(data.inflow), (2, 1)), data.area)
+    @test solve("flow", parameters, inputs, z, 1.0, config) ==
+        solve_flow(parameters, data.inflow, data.area, z, config.flow)
+    loss, gradient =
+        PCNDECore.loss_and_gradient("flow", parameters, inputs, data.flow, z, 1.0, config)
+    fitted, losses, converged, message =
+        fit("flow", parameters, inputs, data.flow, z, 1.0, config, 2)
+    @test losses[1] == loss && length(losses) == 3 && length(fitted) == length(gradient)
+    @test_throws ArgumentError fit("heat", parameters, inputs, data.flow, z, 1.0, config, 2)
+    @test PCNDECore.versions()["julia"] == string(VERSION)
+end

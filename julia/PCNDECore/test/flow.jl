@@ -1,0 +1,101 @@
+"""
+The momentum equation as the paper states it: Q itself is stepped, Lux evaluates the
+network, and the suite measures the error and interpolates.
+"""
+function flow_by_the_suite(parameters, stage, columns)
+    model = chain(flow_widths(stage), stage.activation)
+    ps, st = lux_parameters(model, parameters)
+    area = data.area[:, :, columns]
+    function f!(dq, q, _, position)
+        i, share = PCNDECore.interval(z, position)
+        s = (1 - share) .* area[i, :, :] .+ share .* area[i + 1, :, :]
+        dq .= first(Lux.apply(model, [q; s], ps, st))
+        return nothing
+    end
+    equation = ODEProblem(f!, data.inflow[:, columns], (z[1], z[end]))
+    solution = SciMLBase.solve(
+        equation, Tsit5();
+        dt = something(stage.first_step, z[2] - z[1]), abstol = stage.atol, reltol = stage.rtol,
+        controller = StepControl(), saveat = z,
+    )
+    return permutedims(stack(solution.u), (3, 1, 2)), solution.stats
+end
+
+const tight = (rtol = 1e-11, atol = 1e-13, max_steps = 4096)
+
+@testset "flow" begin
+    for (stage, rtol) in (
+            # A step's small error is a difference of large numbers: its round-off reaches
+            # the step's length.
+            FlowStage() => 1e-7,
+            FlowStage(; tight...) => 1e-8,
+            FlowStage(hidden = [5, 7], activation = "gelu", first_step = 1.7) => 1e-10,
+        )
+        parameters = glorot(flow_widths(stage), MersenneTwister(1))
+        problem = flow_problem(stage)
+        @test integrate!(problem, parameters)
+        together, stats = flow_by_the_suite(parameters, stage, 1:n_cases)
+        flow = permutedims(reshape(residual!(problem), n_times, n_cases, :), (3, 1, 2)) .+ data.flow
+        @test abs(problem.trajectory.count - stats.naccept) <= 0.1 * stats.naccept
+        @test flow ≈ together rtol = rtol
+        @test value!(problem, parameters) ≈ sum(abs2, together .- data.flow) / length(flow)
+
+        # Each case on its own does not depend on the others.
+        alone = solve_flow(parameters, data.inflow, data.area, z, stage)
+        for case in 1:n_cases
+            one = case:case
+            @test alone[:, :, one] ≈ flow_by_the_suite(parameters, stage, one)[1] rtol = rtol
+            @test alone[:, :, one] ==
+                solve_flow(parameters, data.inflow[:, one], data.area[:, :, one], z, stage)
+        end
+    end
+    # Where S has a kink at every point, parameters move steps across kinks, and finite
+    # differences see that: here S is linear in z.
+    taper = range(1.0, 0.6, n_points) .* data.area[1:1, :, :]
+    for stage in (
+            FlowStage(; tight...),
+            FlowStage(; tight..., hidden = [3], activation = "gelu", loss = "sum"),
+        )
+        problem = FlowProblem(copy(data.inflow), taper, data.flow, z, stage)
+        parameters = glorot(flow_widths(stage), MersenneTwister(2))
+        check_gradient(problem, parameters; rtol = 1e-6)
+    end
+end
+
+@testset "flow: hot loop" begin
+    stage = FlowStage()
+    parameters = glorot(flow_widths(stage), MersenneTwister(1))
+    problem = flow_problem(stage)
+    gradient = similar(parameters)
+    value_and_gradient!(gradient, problem, parameters)
+    @test @inferred(value!(problem, parameters)) isa Float64
+    @test @inferred(value_and_gradient!(gradient, problem, parameters)) isa Float64
+    rate, u = problem.rate, problem.norm.state_before
+    du = similar(u)
+    allocated(f, du, u) = @allocated f(du, u, nothing, 1.3)
+    allocated(rate, du, u)
+    @test allocated(rate, du, u) == 0
+    norm_allocated(f, u) = @allocated f(u, 0.0)
+    norm_allocated(problem.norm, du)
+    @test norm_allocated(problem.norm, du) == 0
+    slope = PCNDECore.slope_along_z(data.flow, z)
+    area_rate = PCNDECore.AreaRate(ones(n_points), zeros(n_points), slope, 0.05)
+    s = copy(data.area_undeformed)
+    allocated(area_rate, similar(s), s)
+    @test allocated(area_rate, similar(s), s) == 0
+end
+
+@testset "flow: divergence" begin
+    stage = FlowStage(max_steps = 20)
+    parameters = glorot(flow_widths(stage), MersenneTwister(1))
+    problem = flow_problem(stage)
+    for broken in (fill(NaN, length(parameters)), 1e200 .* parameters)
+        @test value!(problem, broken) == Inf
+        @test value_and_gradient!(similar(parameters), problem, broken) == Inf
+        @test_throws SolveError solve_flow(broken, data.inflow, data.area, z, stage)
+        @test_throws SolveError fit(problem, broken, Optimiser(), 3)
+    end
+    # A solve that fails leaves nothing behind.
+    fresh = value!(flow_problem(stage), parameters)
+    @test value!(problem, parameters) == fresh
+end

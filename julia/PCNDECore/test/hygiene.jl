@@ -1,0 +1,9 @@
+@testset "hygiene" begin
+    if Base.find_package("Aqua") === nothing
+        @info "Aqua is not installed: its checks are left out"
+    else
+        @eval using Aqua
+        # The fresh environment of the last check needs a registry.
+        Aqua.test_all(PCNDECore; persistent_tasks = false)
+    end
+end

@@ -1,0 +1,77 @@
+using PCNDECore
+using PCNDECore:
+    Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
+    Network, Objective, Optimiser, Physics, SolveError, SpatialPressure,
+    SpatialPressureStage, StepControl, TemporalPressure, TemporalPressureStage, chain, fit,
+    fourier_area_problem, integrate!, intermediate_area_problem, lux_parameters,
+    residual!, solve, solve_flow, solve_intermediate_area, value!, value_and_gradient!
+using LinearAlgebra
+using LineSearches: BackTracking
+using Lux: Lux
+using Optim: Optim
+using OrdinaryDiffEqTsit5: ODEProblem, Tsit5
+using Random: MersenneTwister
+using SciMLBase: SciMLBase
+using Test
+
+const n_points, n_times, n_cases = 21, 20, 3
+const z = collect(range(0.0, 4.0, n_points))
+
+"""
+Smooth cases by formula: inflow (time, case), area (z, time, case), flow, S_u.
+"""
+function cases()
+    t = (0:(n_times - 1)) ./ n_times
+    inflow = [1 + 0.2 * n * sin(2π * x + n) + 0.1 * cos(4π * x) for x in t, n in 1:n_cases]
+    bump = exp.(-((z .- 2) ./ 0.4) .^ 2)
+    area_undeformed = reduce(hcat, [0.125 .* (1 .- 0.2 * n .* bump) for n in 1:n_cases])
+    flow = [
+        inflow[k, n] * (1 - 0.05 * z[i] / 4 * sin(2π * t[k])) for
+        i in 1:n_points, k in 1:n_times, n in 1:n_cases
+    ]
+    area = [
+        area_undeformed[i, n] * (1 + 0.02 * inflow[k, n]) for
+        i in 1:n_points, k in 1:n_times, n in 1:n_cases
+    ]
+    return (; inflow, area, flow, area_undeformed)
+end
+
+const data = cases()
+
+glorot(widths, rng) = reduce(
+    vcat,
+    [
+        [
+            sqrt(6 / (widths[i] + widths[i + 1])) .* (2 .* rand(rng, widths[i] * widths[i + 1]) .- 1)
+            0.1 .* randn(rng, widths[i + 1])
+        ] for i in 1:(length(widths) - 1)
+    ],
+)
+
+flow_widths(stage) = [2 * n_times; stage.hidden; n_times]
+flow_problem(stage) = FlowProblem(copy(data.inflow), data.area, data.flow, z, stage)
+
+"""
+Central differences of an objective along random directions against its gradient.
+"""
+function check_gradient(objective, parameters; rtol, step = 1e-5)
+    gradient = similar(parameters)
+    value_and_gradient!(gradient, objective, parameters)
+    rng = MersenneTwister(3)
+    for _ in 1:3
+        direction = randn(rng, length(parameters))
+        ahead = value!(objective, parameters .+ step .* direction)
+        behind = value!(objective, parameters .- step .* direction)
+        @test dot(gradient, direction) ≈ (ahead - behind) / 2step rtol = rtol
+    end
+end
+
+@testset "PCNDECore" begin
+    include("network.jl")
+    include("flow.jl")
+    include("area.jl")
+    include("pressure.jl")
+    include("fit.jl")
+    include("bridge.jl")
+    include("hygiene.jl")
+end

@@ -1,0 +1,207 @@
+"""Both engines, same parameters, same inputs, same numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.config import PAPER, PUBLISHED_CODE
+from pcnde_bridge.engines.base import (
+    FlowInputs,
+    FourierAreaInputs,
+    Grid,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.engines.jax import JaxEngine
+from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+from pcnde_bridge.errors import PCNDEError
+from pcnde_bridge.inference import undeformed
+from pcnde_bridge.parameters import STAGES, initial_parameters
+from pcnde_bridge.published_weights import read_published_weights
+
+_STATUS = julia_status()
+pytestmark = [
+    pytest.mark.julia,
+    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
+]
+
+TIGHT = {"rtol": 1e-12, "atol": 1e-14, "max_steps": 4096}
+CONFIGS = {
+    "paper": PAPER,
+    "published-code": PUBLISHED_CODE,
+    "other": PAPER.replace(
+        flow={"hidden": (6, 5), "activation": "gelu", "first_step": 0.9, "loss": "sum"},
+        fourier_area={"terms": 5},
+        temporal_pressure={
+            "hidden": (3,),
+            "activation": "swish",
+            "pressure_drop_input": "dyn",
+        },
+        spatial_pressure={"form": "printed"},
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def engines():
+    return JuliaEngine(), JaxEngine()
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def config(request):
+    return CONFIGS[request.param]
+
+
+@pytest.fixture(scope="module")
+def problem(small_cases):
+    """Grid, and each stage's inputs and target."""
+    cases = small_cases
+    grid = Grid(cases.time, cases.z, cases.period)
+    area = undeformed(cases.area_undeformed, cases.n_times)
+    pressure = cases.pressure / PAPER.physics.reference_pressure
+    pairs = {
+        "flow": (FlowInputs(cases.inflow, area), cases.flow),
+        "intermediate_area": (
+            IntermediateAreaInputs(cases.flow, cases.area_undeformed),
+            cases.area,
+        ),
+        "fourier_area": (FourierAreaInputs(cases.flow, cases.area_undeformed), cases.area),
+        "temporal_pressure": (
+            TemporalPressureInputs(cases.flow, cases.area, cases.area_undeformed),
+            pressure,
+        ),
+        "spatial_pressure": (
+            SpatialPressureInputs(pressure, cases.flow, cases.area_undeformed),
+            pressure,
+        ),
+    }
+    return grid, pairs
+
+
+def some_parameters(config, cases, seed=1):
+    """Parameters away from zero and one, where a wrong factor would not show."""
+    first = initial_parameters(config, cases.n_times, cases.n_points, seed)
+    rng = np.random.default_rng(seed)
+    return first.replace(**{k: v + 0.05 * rng.normal(size=v.size) for k, v in first})
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize(
+    ("tolerances", "agreement"),
+    [pytest.param(TIGHT, 1e-8, id="tight"), pytest.param({}, 1e-9, id="as configured")],
+)
+def test_solutions_agree(engines, config, small_cases, problem, stage, tolerances, agreement):
+    config = config.replace(flow=tolerances)
+    grid, pairs = problem
+    vector = getattr(some_parameters(config, small_cases), stage)
+    julia, jax = (getattr(e, stage).solve(vector, pairs[stage][0], grid, config) for e in engines)
+    assert julia.shape == jax.shape
+    np.testing.assert_allclose(julia, jax, rtol=0, atol=agreement * np.abs(jax).max())
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_losses_and_gradients_agree(engines, config, small_cases, problem, stage):
+    grid, pairs = problem
+    vector = getattr(some_parameters(config, small_cases), stage)
+    (julia, by_julia), (jax, by_jax) = (
+        getattr(e, stage).loss_and_gradient(vector, *pairs[stage], grid, config) for e in engines
+    )
+    assert julia == pytest.approx(jax, rel=1e-10)
+    np.testing.assert_allclose(by_julia, by_jax, rtol=1e-6, atol=1e-9 * np.abs(by_jax).max())
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_gradients_agree_with_finite_differences(engines, small_cases, problem, stage):
+    julia, _ = engines
+    config = PAPER.replace(flow=TIGHT)
+    grid, pairs = problem
+    inputs, target = pairs[stage]
+    if stage == "flow":
+        # Where S has a kink at every point, parameters move steps across kinks.
+        taper = np.linspace(1.0, 0.6, small_cases.n_points)
+        inputs = FlowInputs(small_cases.inflow, small_cases.area[:, :, :1] * taper)
+    vector = getattr(some_parameters(config, small_cases), stage)
+
+    def loss_and_gradient(x):
+        return getattr(julia, stage).loss_and_gradient(x, inputs, target, grid, config)
+
+    loss, gradient = loss_and_gradient(vector)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        direction = rng.normal(size=vector.size)
+        direction /= np.linalg.norm(direction)
+        h = 1e-4
+        steps = [loss_and_gradient(vector + k * h * direction)[0] for k in (-2, -1, 1, 2)]
+        finite = (steps[0] - 8 * steps[1] + 8 * steps[2] - steps[3]) / (12 * h)
+        assert finite == pytest.approx(gradient @ direction, rel=1e-6, abs=1e-9 * abs(loss))
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_fits_take_the_same_path(engines, config, small_cases, problem, stage):
+    grid, pairs = problem
+    vector = getattr(some_parameters(config, small_cases), stage)
+    julia, jax = (getattr(e, stage).fit(vector, *pairs[stage], grid, config, 5) for e in engines)
+    np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
+    assert (julia.converged, julia.message) == (jax.converged, jax.message)
+    assert julia.losses[-1] < julia.losses[0]
+
+
+def test_whole_models_agree(engines, config, small_cases, problem):
+    grid, _ = problem
+    config = config.replace(flow=TIGHT)
+    parameters = some_parameters(config, small_cases)
+    julia, jax = (
+        e.predict(parameters, small_cases.inflow, small_cases.area_undeformed, grid, config)
+        for e in engines
+    )
+    for by_julia, by_jax in zip(julia, jax, strict=True):
+        assert np.linalg.norm(by_julia - by_jax) < 1e-8 * np.linalg.norm(by_jax)
+    without = parameters.replace(temporal_pressure=np.empty(0), spatial_pressure=np.empty(0))
+    flow, _, pressure = engines[0].predict(
+        without, small_cases.inflow, small_cases.area_undeformed, grid, config
+    )
+    assert pressure is None
+    np.testing.assert_array_equal(flow, julia.flow)
+
+
+@pytest.mark.data
+def test_first_batch_of_the_paper_takes_the_same_path(engines, published_cases):
+    cases = published_cases.split("paper").train
+    batch = np.random.default_rng(0).permutation(cases.n_cases)[: PAPER.batch_size]
+    grid = Grid(cases.time, cases.z, cases.period)
+    area = undeformed(cases.area_undeformed, cases.n_times)[batch]
+    first = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
+    inputs = FlowInputs(cases.inflow[batch], area)
+    julia, jax = (e.flow.fit(first, inputs, cases.flow[batch], grid, PAPER, 5) for e in engines)
+    np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
+    (_, by_julia), (_, by_jax) = (
+        e.flow.loss_and_gradient(first, inputs, cases.flow[batch], grid, PAPER) for e in engines
+    )
+    np.testing.assert_allclose(by_julia, by_jax, rtol=1e-6, atol=1e-9 * np.abs(by_jax).max())
+
+
+@pytest.mark.data
+def test_published_weights_give_the_published_errors(engines, published_folder, published_cases):
+    try:
+        weights = read_published_weights(published_folder)
+    except PCNDEError as error:
+        pytest.skip(str(error))
+    cases = published_cases.split("paper").test
+    config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
+    grid = Grid(cases.time, cases.z, cases.period)
+    by_julia, by_jax = (
+        engine.predict(weights, cases.inflow, cases.area_undeformed, grid, config)
+        for engine in engines
+    )
+
+    def error(found, truth):
+        return np.linalg.norm(found - truth) / np.linalg.norm(truth)
+
+    inside = np.s_[:, :, 5:-5]
+    assert error(by_julia.flow, cases.flow) == pytest.approx(0.0076, abs=1e-4)
+    assert error(by_julia.area[inside], cases.area[inside]) == pytest.approx(0.0112, abs=1e-4)
+    # Far below the tolerance of the solves: both take the same steps.
+    np.testing.assert_allclose(by_julia.flow, by_jax.flow, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(by_julia.area, by_jax.area, rtol=0, atol=1e-8)

@@ -1,0 +1,372 @@
+"""The Julia engine around its numbers: status, start, errors, interruption, processes."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.config import PAPER
+from pcnde_bridge.engines import julia
+from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs, Grid
+from pcnde_bridge.engines.julia import (
+    JuliaEngine,
+    julia_settings_file,
+    julia_sources,
+    julia_status,
+)
+from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
+from pcnde_bridge.inference import undeformed
+from pcnde_bridge.parameters import initial_parameters
+
+_STATUS = julia_status()
+needs_julia = [
+    pytest.mark.julia,
+    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
+]
+
+
+def marked(test):
+    for mark in needs_julia:
+        test = mark(test)
+    return test
+
+
+# ---------------------------------------------------------------- without Julia
+
+
+@pytest.fixture
+def bare(monkeypatch, tmp_path):
+    """No variables, no user's file, and no Julia running."""
+    for name in list(os.environ):
+        if name.startswith(("PYTHON_JULIA", "JULIA_")):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.delitem(sys.modules, "juliacall", raising=False)
+    return tmp_path
+
+
+def fake_julia(folder: Path, answer: str = "julia version 1.10.8") -> Path:
+    program = folder / "julia"
+    program.write_text(f"#!/bin/sh\necho {answer}\n")
+    program.chmod(0o755)
+    return program
+
+
+def fake_project(folder: Path, *packages: str) -> Path:
+    project = folder / "project"
+    project.mkdir()
+    entries = [
+        f'[[deps.{name}]]\nuuid = "x"\nversion = "0.1.{i}"\n' for i, name in enumerate(packages)
+    ]
+    (project / "Manifest.toml").write_text("\n".join(entries))
+    return project
+
+
+def settings_file(**settings) -> Path:
+    file = julia_settings_file()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(settings))
+    return file
+
+
+def test_the_users_file_names_julia(bare):
+    program, project = fake_julia(bare), fake_project(bare, "PCNDECore", "PythonCall")
+    settings_file(
+        executable=str(program), project=str(project), environment={"JULIA_DEPOT_PATH": str(bare)}
+    )
+    status = julia_status()
+    assert status.usable and status.source == "file"
+    assert (status.executable, status.project, status.version) == (program, project, "1.10.8")
+    assert status.packages == {"PCNDECore": "0.1.0", "PythonCall": "0.1.1"}
+    assert not status.precompiled and "not precompiled" in status.message
+    assert (status.threads, status.handle_signals) == ("1", "no")
+    cache = bare / "compiled" / "v1.10" / "PCNDECore"
+    cache.mkdir(parents=True)
+    (cache / "x.ji").touch()
+    assert julia_status().precompiled
+
+
+def test_variables_come_before_the_file(bare, monkeypatch):
+    settings_file(executable="/nowhere/julia", project="/nowhere")
+    monkeypatch.setenv("PYTHON_JULIACALL_EXE", str(fake_julia(bare)))
+    assert "set together" in julia_status().message
+    monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(fake_project(bare, "PCNDECore")))
+    status = julia_status()
+    assert not status.usable and status.source == "environment"
+    assert "lacks PythonCall" in status.message and "Pkg.develop" in status.message
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"), [("julia version 1.6.7", "too old"), ("hello", "does not run as Julia")]
+)
+def test_a_wrong_julia_is_refused(bare, answer, message):
+    settings_file(executable=str(fake_julia(bare, answer)), project=str(bare))
+    status = julia_status()
+    assert not status.usable and message in status.message
+    with pytest.raises(EngineUnavailableError, match=message):
+        julia._start()
+
+
+def test_a_missing_julia_is_named(bare):
+    settings_file(executable=str(bare / "absent"), project=str(bare))
+    assert f"no Julia at {bare / 'absent'}" in julia_status().message
+    with pytest.raises(EngineUnavailableError, match="absent"):
+        julia._start()
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"executable": "julia"}'])
+def test_a_broken_file_is_named(bare, text):
+    settings_file().write_text(text)
+    status = julia_status()
+    assert not status.usable and str(julia_settings_file()) in status.message
+
+
+def test_nothing_is_downloaded_unasked(bare, monkeypatch):
+    juliapkg = pytest.importorskip("juliapkg")
+    monkeypatch.setattr(juliapkg, "resolve", lambda dry_run: not dry_run)
+    status = julia_status()
+    assert not status.usable and status.installable and "downloads" in status.message
+    monkeypatch.setenv("PYTHON_JULIAPKG_OFFLINE", "yes")
+    status = julia_status()
+    assert status.offline and not status.installable
+    with pytest.raises(EngineUnavailableError, match="PYTHON_JULIACALL_EXE"):
+        julia._start()
+
+
+def test_the_julia_sources_are_found_and_declared():
+    project = julia_sources()
+    declared = json.loads((project.parents[1] / "juliapkg.json").read_text())
+    (name, entry), *others = declared["packages"].items()
+    assert (name, others) == ("PCNDECore", []) and entry["dev"]
+    assert (project.parents[1] / entry["path"]).samefile(project)
+    text = (project / "Project.toml").read_text()
+    assert f'uuid = "{entry["uuid"]}"' in text
+
+
+def test_importing_the_module_starts_nothing():
+    code = "import pcnde_bridge.engines.julia, sys; assert 'juliacall' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# ---------------------------------------------------------------- with Julia
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return JuliaEngine()
+
+
+@pytest.fixture(scope="module")
+def flow_problem(small_cases):
+    cases = small_cases
+    grid = Grid(cases.time, cases.z, cases.period)
+    inputs = FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
+    vector = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
+    return vector, inputs, cases.flow, grid, PAPER
+
+
+@marked
+def test_versions(engine):
+    assert engine.name == "julia"
+    assert {"julia", "PCNDECore", "OrdinaryDiffEqTsit5", "Lux", "Optim"} <= set(engine.versions)
+    assert all(version[0].isdigit() for version in engine.versions.values())
+
+
+@marked
+def test_status_of_the_running_julia(engine):
+    status = julia_status()
+    assert status.usable and status.source == "running"
+    assert status.packages["PCNDECore"] == engine.versions["PCNDECore"]
+
+
+@marked
+def test_results_are_numpys_own(engine, flow_problem):
+    vector, inputs, target, grid, config = flow_problem
+    flow = engine.flow.solve(vector, inputs, grid, config)
+    _, gradient = engine.flow.loss_and_gradient(vector, inputs, target, grid, config)
+    fit = engine.flow.fit(vector, inputs, target, grid, config, 2)
+    for array in (flow, gradient, fit.parameters, fit.losses):
+        assert type(array) is np.ndarray and array.dtype == np.float64
+        assert array.flags.owndata and array.flags.writeable and array.flags.c_contiguous
+
+
+@marked
+def test_any_memory_layout_will_do(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    expected = engine.flow.solve(vector, inputs, grid, config)
+    frozen = vector.copy()
+    frozen.flags.writeable = False
+    area = np.asfortranarray(inputs.area.astype(np.float64))
+    twice = np.repeat(inputs.inflow, 2, axis=1)[:, ::2]
+    found = engine.flow.solve(frozen, FlowInputs(twice, area), grid, config)
+    np.testing.assert_array_equal(found, expected)
+    area[:] = np.nan  # Julia kept no view
+    np.testing.assert_array_equal(found, expected)
+
+
+@marked
+def test_a_case_does_not_depend_on_its_neighbours(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    together = engine.flow.solve(vector, inputs, grid, config)
+    alone = engine.flow.solve(
+        vector, FlowInputs(inputs.inflow[[7]], inputs.area[[7]]), grid, config
+    )
+    np.testing.assert_array_equal(together[[7]], alone)
+
+
+@marked
+def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
+    vector, inputs, target, grid, config = flow_problem
+    broken = np.full_like(vector, np.nan)
+    with pytest.raises(SolveError, match=r"case 0.*units"):
+        engine.flow.solve(broken, inputs, grid, config)
+    assert engine.flow.loss_and_gradient(broken, inputs, target, grid, config)[0] == np.inf
+    with pytest.raises(SolveError, match="not finite at the first parameters"):
+        engine.flow.fit(broken, inputs, target, grid, config, 2)
+    few = config.replace(flow={"max_steps": 2})
+    with pytest.raises(SolveError):
+        engine.flow.solve(vector, inputs, grid, few)
+
+
+@marked
+def test_julias_errors_keep_their_words(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    with pytest.raises(EngineError, match=r"the network has \d+ parameters, not 10"):
+        engine.flow.solve(vector[:10], inputs, grid, config)
+
+
+@marked
+def test_iterations_reach_python_and_errors_come_back(engine, flow_problem):
+    seen = []
+    fit = engine.flow.fit(*flow_problem, 3, lambda number, loss: seen.append((number, loss)))
+    assert [number for number, _ in seen] == [1, 2, 3]
+    assert [loss for _, loss in seen] == list(fit.losses[1:])
+
+    class Enough(Exception):
+        pass
+
+    def stop(number, loss):
+        if number == 2:
+            raise Enough("as agreed")
+
+    with pytest.raises(Enough, match="as agreed"):
+        engine.flow.fit(*flow_problem, 5, stop)
+    # The engine is as good as new.
+    np.testing.assert_array_equal(engine.flow.fit(*flow_problem, 3).losses, fit.losses)
+
+
+@marked
+@pytest.mark.skipif(os.name == "nt", reason="signals are sent otherwise there")
+@pytest.mark.parametrize("listening", [True, False])
+def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    patient = flow_problem[-1].replace(optimiser={"gradient_tolerance": 0.0})
+    with pytest.raises(KeyboardInterrupt):
+        timer.start()
+        for _ in range(1000):
+            engine.flow.fit(
+                *flow_problem[:-1], patient, 1000, (lambda *_: None) if listening else None
+            )
+    timer.cancel()
+    assert np.isfinite(engine.flow.fit(*flow_problem, 1).losses).all()
+
+
+@marked
+def test_a_fork_is_refused(engine, flow_problem, monkeypatch):
+    monkeypatch.setattr(engine._julia, "_process", -1)
+    with pytest.raises(EngineError, match="spawn"):
+        engine.flow.solve(*flow_problem[:2], *flow_problem[3:])
+
+
+def _in_a_worker(problem):
+    vector, inputs, _, grid, config = problem
+    return JuliaEngine().flow.solve(vector, inputs, grid, config)
+
+
+@marked
+def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        found = pool.apply(_in_a_worker, (flow_problem,))
+    np.testing.assert_array_equal(found, engine.flow.solve(vector, inputs, grid, config))
+
+
+def run(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh Python."""
+    environment = {**os.environ, **variables}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600
+    )
+
+
+@marked
+def test_it_works_after_jax_and_leaves_main_alone():
+    done = run(
+        "import jax, jax.numpy as jnp; before = jnp.arange(3.0) * 2\n"
+        "from pcnde_bridge.engines.julia import JuliaEngine\n"
+        "engine = JuliaEngine()\n"
+        "import juliacall, numpy as np\n"
+        "assert not juliacall.Main.seval('isdefined(Main, :PCNDECore)')\n"
+        "from pcnde_bridge.config import PAPER\n"
+        "from pcnde_bridge.engines.base import FourierAreaInputs, Grid\n"
+        "grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
+        "inputs = FourierAreaInputs(np.ones((2, 20, 5)), np.ones((2, 5)))\n"
+        "area = engine.fourier_area.solve(np.ones(10), inputs, grid, PAPER)\n"
+        "assert np.allclose(area, 2) and (jnp.arange(3.0) * 2 == before).all()\n"
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@marked
+@pytest.mark.parametrize("signals", ["yes", "no"])
+def test_a_julia_started_by_another_package_is_used_with_a_warning(signals):
+    if _STATUS.source == "juliapkg":
+        pytest.skip("the other package would start Julia elsewhere")
+    done = run(
+        "import warnings; warnings.simplefilter('always')\n"
+        "from pcnde_bridge.engines import julia\n"
+        "choice = julia._choice()\n"
+        "import os; os.environ.update(choice.environment)\n"
+        f"os.environ['PYTHON_JULIACALL_HANDLE_SIGNALS'] = '{signals}'\n"
+        "os.environ['PYTHON_JULIACALL_EXE'] = choice.executable\n"
+        "os.environ['PYTHON_JULIACALL_PROJECT'] = choice.project\n"
+        "import juliacall\n"
+        "julia.JuliaEngine(); julia.JuliaEngine()\n"
+        "print(julia.julia_status())\n"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("RuntimeWarning") == (1 if signals == "yes" else 0)
+    assert f"handle_signals='{signals}'" in done.stdout
+
+
+@marked
+def test_the_users_settings_stay():
+    done = run(
+        "from pcnde_bridge.engines.julia import JuliaEngine, julia_status\n"
+        "JuliaEngine(); print(julia_status())",
+        PYTHON_JULIACALL_HANDLE_SIGNALS="yes",
+        JULIA_NUM_THREADS="2",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "threads='2', handle_signals='yes'" in done.stdout
+
+
+@marked
+def test_many_small_calls_do_not_leak_warnings(engine, small_cases):
+    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    inputs = FourierAreaInputs(small_cases.flow, small_cases.area_undeformed)
+    vector = np.ones(2 * small_cases.n_points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(20):
+            engine.fourier_area.solve(vector, inputs, grid, PAPER)
