@@ -20,6 +20,7 @@ from pcnde_bridge.errors import (
 )
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.synthetic import synthetic
 
 __all__ = [
     "PAPER",
@@ -42,4 +43,5 @@ __all__ = [
     "download_published",
     "load_cases",
     "select_engine",
+    "synthetic",
 ]

@@ -25,6 +25,7 @@ from pcnde_bridge.files import atomic_write
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pcnde_bridge.bench import Row
     from pcnde_bridge.cases import Cases
     from pcnde_bridge.model import PCNDE
 
@@ -51,7 +52,8 @@ DataArgument = Annotated[
     str,
     typer.Argument(
         metavar="DATA",
-        help="Folder in the authors' layout, a saved data set (.npz, .h5), or a name: published.",
+        help="Folder in the authors' layout, a saved data set (.npz, .h5), or a name: "
+        "published, synthetic.",
     ),
 ]
 ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a fitted model.")]
@@ -184,6 +186,127 @@ def predict(
 
 
 @app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is written.")] = (
+        Path("demo")
+    ),
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of waveforms and training.")] = 0,
+    engine: EngineOption = EngineChoice.auto,
+) -> None:
+    """Simulate, train, evaluate and predict, in three minutes: what the package does."""
+    from pcnde_bridge.demo import run_demo
+
+    try:
+        result = run_demo(out, seed, engine.value)
+    except KeyboardInterrupt:
+        _notes.print(
+            f"\nInterrupted. The state of training is in {out}: run the same command again to "
+            "continue.",
+            highlight=False,
+            soft_wrap=True,
+        )
+        raise typer.Exit(130) from None
+    _print_errors(
+        {
+            f"{name}, {method}": row
+            for name in ("train", "test")
+            for method, row in ((m, sets[name]) for m, sets in result.errors.items())
+        }
+    )
+    _out.print(
+        f"""Took {result.seconds:.0f} s. In {out}:
+  model.npz           the model
+  cases.npz           the 100 simulated cases, and split.json, which were for training
+  errors.csv          errors of every case; history.csv, the loss of every iteration
+  prediction.csv.gz   flow, area and pressure of the test cases
+  prediction.png      the hardest test case; history.png, the loss
+Next, with your own waveform and vessel in these two files:
+  pcnde predict {out / "model.npz"} --inflow {out / "inflow.csv"} --area {out / "area.csv"} --out mine.csv
+the model beside simpler methods:
+  pcnde bench {out / "cases.npz"} --model {out / "model.npz"}
+and the paper's 3D simulations, trained as in the paper:
+  pcnde fit published --out model.npz""",  # noqa: E501
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Option("--out", help="File for the data set: .npz or .h5.")],
+    geometries: Annotated[
+        int, typer.Option("--geometries", min=1, help="Blockages, evenly from 40 to 85 %.")
+    ] = 10,
+    waveforms: Annotated[
+        int, typer.Option("--waveforms", min=1, help="Waveforms, ever stronger.")
+    ] = 10,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="0: built-in waveform; else a variation of it.")
+    ] = 0,
+) -> None:
+    """Simulate stenosed vessels with the 1D solver: the synthetic data set."""
+    from pcnde_bridge.synthetic import synthetic
+
+    if out.suffix not in (".npz", ".h5", ".hdf5"):
+        raise InputError(f"Cannot tell the format of {out}: it must end in .npz or .h5.")
+    if out.is_dir() or not out.parent.is_dir():
+        raise FileError(f"Cannot write {out}: give a file in an existing folder.")
+    cases = synthetic(geometries, waveforms, seed)
+    cases.save(out)
+    _out.print(f"Saved {cases!r} in {out}.", highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def bench(
+    data: DataArgument,
+    split: SplitOption = "paper",
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Fitted model; without it one is trained.")
+    ] = None,
+    preset: Annotated[
+        str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
+    ] = "paper",
+    config: Annotated[
+        Path | None, typer.Option("--config", help="JSON file of settings that differ.")
+    ] = None,
+    engine: EngineOption = EngineChoice.auto,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")] = 0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Also write the results to this file.")
+    ] = None,
+) -> None:
+    """Print errors and times of a model and of the baselines, side by side."""
+    from pcnde_bridge.baselines import standard_baselines
+    from pcnde_bridge.bench import bench_baseline, bench_model, write_rows
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.model import PCNDE
+
+    settings = _settings(preset, config)
+    if json_file is not None and (json_file.is_dir() or not json_file.parent.is_dir()):
+        raise FileError(f"Cannot write {json_file}: give a file in an existing folder.")
+    fitted = None if model is None else PCNDE.load(model, engine=engine.value)
+    sets = _split(load_cases(data), split)
+    if fitted is None:
+        fitted = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed)
+    rows = [bench_model(fitted, sets)]
+    for name, baseline in standard_baselines().items():
+        rows.append(bench_baseline(name, baseline, sets))
+    if json_file is not None:
+        facts = {
+            "data": data,
+            "split": split,
+            "model": None if model is None else str(model),
+            "config": fitted.config.to_dict(),
+            "cases": {name: len(cases) for name, cases in sets.items()},
+        }
+        write_rows(json_file, rows, **facts)
+    _print_bench(rows, list(sets))
+    if data == "synthetic":
+        _out.print("The 1D solver made these data: its own errors on them say nothing.")
+
+
+@app.command()
 def download(
     folder: Annotated[
         Path | None, typer.Option("--cache", help="Where to put the files; default the cache.")
@@ -279,3 +402,21 @@ def _print_errors(errors: dict[str, dict[str, float]]) -> None:
     for name, row in errors.items():
         table.add_row(name, *(f"{row[variable]:.4f}" for variable in variables))
     _out.print(table)
+
+
+def _print_bench(rows: list[Row], sets: list[str]) -> None:
+    variables = list(rows[0].errors[sets[0]])
+    table = Table("relative error", "", *variables, show_lines=True)
+    table.add_column("fit\ns", justify="right")
+    table.add_column("predict\nms per case", justify="right")
+    for row in rows:
+        if row.reason is not None:
+            table.add_row(row.name, "", *("–" for _ in variables), "–", "–")
+            continue
+        errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in sets) for v in variables)
+        fit = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
+        table.add_row(row.name, "\n".join(sets), *errors, fit, f"{row.predict_ms_per_case:.2f}")
+    _out.print(table)
+    for row in rows:
+        if row.reason is not None:
+            _out.print(f"{row.name}: {row.reason}", highlight=False, markup=False, soft_wrap=True)

@@ -378,8 +378,13 @@ PUBLISHED_CODE = PAPER.replace(
 )
 """What the authors' published code and weights do, where it differs from the text."""
 
+QUICK = PAPER.replace(flow={"epochs": 60, "couple_every": 20})
+"""The paper's recipe with 60 epochs, coupled every 20, in place of 100 and 25.
+
+For a first look, as ``pcnde demo`` takes."""
+
 PRESETS: Mapping[str, PCNDEConfig] = types.MappingProxyType(
-    {"paper": PAPER, "published-code": PUBLISHED_CODE}
+    {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK}
 )
 """The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
 

@@ -135,8 +135,10 @@ def load_cases(data: str | os.PathLike[str] | Cases) -> Cases:
     ----------
     data : str, path-like or Cases
         The name of a data set (``"published"``: the one of the paper, found on
-        this machine or else downloaded); a folder in the published layout; a
-        file that :meth:`Cases.save` wrote; or a data set, returned as it is.
+        this machine or else downloaded; ``"synthetic"``: our own, computed once,
+        see :func:`pcnde_bridge.synthetic.synthetic`); a folder in the published
+        layout; a file that :meth:`Cases.save` wrote; or a data set, returned as
+        it is.
         A name wins over a file: write ``"./published"`` for a folder so named.
 
     Returns
@@ -172,8 +174,17 @@ def _load_published() -> Cases:
     return read_authors_folder(find_published() or download_published())
 
 
+def _compute_synthetic() -> Cases:
+    from pcnde_bridge.synthetic import synthetic
+
+    return synthetic()
+
+
 #: The data sets that :func:`load_cases` knows by name, and how to get each.
-DATASETS: dict[str, Callable[[], Cases]] = {"published": _load_published}
+DATASETS: dict[str, Callable[[], Cases]] = {
+    "published": _load_published,
+    "synthetic": _compute_synthetic,
+}
 
 
 def _cache_folder(cache: str | os.PathLike[str] | None) -> Path:

@@ -18,6 +18,7 @@ from rich.progress import (
 from pcnde_bridge.history import Iteration
 
 _LOG_EVERY = 10.0  # seconds between two lines where no bar can be drawn
+_DRAW_EVERY = 0.1  # seconds between two pictures of the bar
 
 
 class TrainingProgress:
@@ -48,6 +49,9 @@ class TrainingProgress:
             TimeRemainingColumn(),
             console=self._console,
             disable=not self._draws,
+            # No thread that redraws: Python may collect garbage in any thread, and objects of
+            # Julia must not be released in another than the one that runs Julia.
+            auto_refresh=False,
         )
         self._task = self._bar.add_task("training", total=total, completed=done, loss="-")
         self._total, self._first, self._done = total, done, done
@@ -76,8 +80,12 @@ class TrainingProgress:
             self._task, completed=self._done, description=where, loss=f"{iteration.loss:.3e}"
         )
         now = time.monotonic()
-        if not self._draws and now - self._last >= _LOG_EVERY:
-            self._last = now
+        if now - self._last < (_DRAW_EVERY if self._draws else _LOG_EVERY):
+            return
+        self._last = now
+        if self._draws:
+            self._bar.refresh()
+        else:
             elapsed = now - self._began
             left = elapsed / (self._done - self._first) * (self._total - self._done)
             self._console.print(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import resolve_config
+from pcnde_bridge.config import QUICK, resolve_config
 from pcnde_bridge.parameters import sizes
 
 GROUPS = [
@@ -207,7 +207,8 @@ def test_json_beyond_floats_is_refused():
 
 
 def test_presets():
-    assert dict(PRESETS) == {"paper": PAPER, "published-code": PUBLISHED_CODE}
+    assert dict(PRESETS) == {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK}
+    assert resolve_config("quick") is QUICK
     assert resolve_config("paper") is PAPER
     assert resolve_config("published-code") is PUBLISHED_CODE
     assert resolve_config(PUBLISHED_CODE) is PUBLISHED_CODE

@@ -302,8 +302,9 @@ def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
 
 
 def run(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh Python."""
-    environment = {**os.environ, **variables}
+    """Run code in a fresh Python, which does not inherit what this one's engine has set."""
+    ours = julia._JULIACALL_SETTINGS
+    environment = {k: v for k, v in os.environ.items() if k not in ours} | variables
     return subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600
     )

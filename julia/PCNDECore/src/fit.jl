@@ -54,11 +54,7 @@ function fit(
             iterations = settings.max_backtracks,
             order = 3,
         ),
-        initial_invH = x -> begin
-            # Optim's `initial_stepnorm`, for a matrix that is not dense.
-            gradient = NLSolversBase.gradient(differentiable)
-            InverseHessian(settings.initial_step_norm / norm(gradient, Inf), length(x))
-        end,
+        initial_invH = ScaledIdentity(settings.initial_step_norm, differentiable),
     )
     options = Optim.Options(;
         iterations,
@@ -72,6 +68,22 @@ function fit(
     converged = code in CONVERGED
     message = get(MESSAGES, code, "loss or gradient not finite")
     return (; record.parameters, record.losses, converged, message)
+end
+
+"""
+    ScaledIdentity(step_norm, differentiable)
+
+Optim's `initial_stepnorm`, for a matrix that is not dense: `step_norm / max|g|`·I at the
+last gradient. Like [`Record`](@ref), of the same type for every objective.
+"""
+struct ScaledIdentity{D}
+    step_norm::Float64
+    differentiable::D
+end
+
+function (initial::ScaledIdentity)(x)
+    gradient = NLSolversBase.gradient(initial.differentiable)
+    return InverseHessian(initial.step_norm / norm(gradient, Inf), length(x))
 end
 
 const CONVERGED = (

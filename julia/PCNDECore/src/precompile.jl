@@ -15,7 +15,7 @@
             flow.hidden = [2, 2]
             flow.rtol = 0.001
             temporal_pressure.hidden = [2, 2]
-            temporal_pressure.activation = "gelu"
+            temporal_pressure.activation = "tanh"
             """,
         )
         inputs = (
@@ -29,7 +29,7 @@
             parameters = if stage == "flow"
                 fill(0.01, length(Network(chain([2 * n_times, 2, 2, n_times], "tanh"))))
             elseif stage == "temporal_pressure"
-                fill(0.01, length(Network(chain([4 * n_points, 2, 2, n_points], "gelu"))))
+                fill(0.01, length(Network(chain([4 * n_points, 2, 2, n_points], "tanh"))))
             elseif stage == "spatial_pressure"
                 ones(2 + 2 * n_times)
             else

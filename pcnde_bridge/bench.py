@@ -1,0 +1,141 @@
+"""Model and baselines side by side: errors, and the times of fitting and predicting."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import statistics
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge._version import __version__
+from pcnde_bridge.baselines import Baseline
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.files import atomic_write
+from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge.model import PCNDE
+
+Array = npt.NDArray[np.float64]
+
+_REPEATS, _ENOUGH_SECONDS = 5, 1.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method's results.
+
+    Attributes
+    ----------
+    name : str
+        Of the method.
+    errors : dict
+        By set (train, test), then by variable: relative errors, pooled.
+    fit_seconds : float or None
+        Time of fitting; of a model that was loaded, the time its training took.
+    predict_ms_per_case : float or None
+        Time of predicting the test cases (else the training cases) in one call,
+        compiled before, over their number: the median of up to five calls.
+    reason : str or None
+        Why the method could not be applied; then there are no numbers.
+    """
+
+    name: str
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    fit_seconds: float | None = None
+    predict_ms_per_case: float | None = None
+    reason: str | None = None
+
+
+def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
+    """Errors and times of a fitted model.
+
+    Parameters
+    ----------
+    model : PCNDE
+        The model.
+    sets : mapping of str to Cases
+        ``train``, and ``test`` if there is one.
+
+    Raises
+    ------
+    InputError
+        If the cases' grid is not the model's.
+    """
+    errors, taken = _measure(lambda cases: model.predict(cases).variables(), sets)
+    seconds = model.provenance.get("seconds")
+    return Row(
+        f"PCNDE ({model.engine.name})", errors, None if seconds is None else float(seconds), taken
+    )
+
+
+def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> Row:
+    """Fit a baseline on the training cases, and measure it.
+
+    A baseline that does not suit the cases gives a row without numbers that holds
+    the reason.
+
+    Parameters
+    ----------
+    name : str
+        For the table.
+    baseline : Baseline
+        Unfitted.
+    sets : mapping of str to Cases
+        ``train``, and ``test`` if there is one.
+    """
+    try:
+        began = time.perf_counter()
+        baseline.fit(sets["train"])
+        fit_seconds = time.perf_counter() - began
+        errors, taken = _measure(baseline.predict, sets)
+    except (InputError, SolveError) as error:
+        return Row(name, reason=str(error))
+    return Row(name, errors, fit_seconds, taken)
+
+
+def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[str, float]], float]:
+    """Pooled errors of every set, and milliseconds per case of the last."""
+    # The solver says a line for every case; its warnings stay.
+    logger = logging.getLogger("pcnde_bridge.tube1d")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        errors = {name: pooled_errors(predict(cases), cases) for name, cases in sets.items()}
+        cases = list(sets.values())[-1]
+        seconds: list[float] = []
+        while len(seconds) < _REPEATS and sum(seconds) < _ENOUGH_SECONDS:
+            began = time.perf_counter()
+            predict(cases)
+            seconds.append(time.perf_counter() - began)
+    finally:
+        logger.setLevel(level)
+    return errors, 1e3 * statistics.median(seconds) / len(cases)
+
+
+def write_rows(path: str | os.PathLike[str], rows: Iterable[Row], **facts: Any) -> None:
+    """Write rows as JSON: ``{…facts, "pcnde_bridge": version, "rows": […]}``.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write, atomically.
+    rows : iterable of Row
+        Each becomes an object with the attributes of :class:`Row`.
+    **facts
+        What else to keep, such as the data's name.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    content = {**facts, "pcnde_bridge": __version__, "rows": [asdict(row) for row in rows]}
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

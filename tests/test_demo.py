@@ -1,0 +1,226 @@
+"""The demo, in small, and ``pcnde demo``."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pcnde_bridge import PCNDE, PRESETS, Cases, FileError, InputError, cli
+from pcnde_bridge import demo as module
+from pcnde_bridge.baselines import Unchanged
+from pcnde_bridge.demo import CHECKPOINT, FILES, MARK, run_demo
+from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge.plots import loss_history
+
+
+@pytest.fixture(autouse=True)
+def unpainted(request, monkeypatch):
+    """Drawing takes longer than all the rest; one test does it."""
+    if request.node.name != "test_everything_is_there":
+        monkeypatch.setattr(
+            module, "_write_figure", lambda path, figure: path.write_bytes(b"\x89PNG")
+        )
+
+
+@pytest.fixture
+def demo(tmp_path, small_cases, toy_engine, toy_config):
+    """Run the demo in small, without compiling."""
+
+    def demo(out=tmp_path / "demo", **changes):
+        options = {"engine": toy_engine, "config": toy_config, "cases": small_cases}
+        return run_demo(out, progress=False, **{**options, **changes})
+
+    return demo
+
+
+def test_everything_is_there(demo, tmp_path, small_cases):
+    result = demo()
+    folder = tmp_path / "demo"
+    assert sorted(path.name for path in folder.iterdir()) == sorted((*FILES, MARK))
+    assert Cases.load(folder / "cases.npz") == small_cases
+    train, test = small_cases.split("paper")
+    again = small_cases.split(folder / "split.json")
+    assert (again.train, again.test) == (train, test)
+
+    assert result.errors["PCNDE"]["test"] == pooled_errors(
+        result.model.predict(test).variables(), test
+    )
+    unchanged = Unchanged().fit(train).predict(train)
+    assert result.errors["nothing happens"]["train"] == pooled_errors(unchanged, train)
+
+    errors = pd.read_csv(folder / "errors.csv")
+    assert len(errors) == len(small_cases) + 2  # and one pooled row for each set
+    pooled = errors[(errors["set"] == "test") & (errors["geometry"] == "pooled")]
+    assert pooled["flow"].item() == pytest.approx(result.errors["PCNDE"]["test"]["flow"])
+    assert len(pd.read_csv(folder / "history.csv")) == len(result.model.history)
+
+    frame = pd.read_csv(folder / "prediction.csv.gz")
+    assert len(frame) == test.flow.size
+    predicted = result.model.predict(test)
+    np.testing.assert_allclose(frame["pressure"], predicted.pressure.ravel(), rtol=1e-6)
+    for name in ("prediction.png", "history.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+    mark = json.loads((folder / MARK).read_text())
+    assert mark["finished"] is True
+    assert mark["errors"] == result.errors
+
+
+def test_its_files_go_into_the_other_commands(demo, tmp_path, small_cases, toy_engine, monkeypatch):
+    result = demo()
+    folder = tmp_path / "demo"
+    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name: toy_engine)
+    arguments = ["--inflow", folder / "inflow.csv", "--area", folder / "area.csv"]
+    out = tmp_path / "mine.npz"
+    argv = ["pcnde", "predict", folder / "model.npz", *arguments, "--out", out]
+    monkeypatch.setattr(sys, "argv", [str(a) for a in argv])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    hardest = small_cases.select(geometry=3, waveform=3)
+    np.testing.assert_allclose(Cases.load(out).flow, result.model.predict(hardest).flow, rtol=1e-9)
+
+
+def test_same_command_again_replaces_its_own_files(demo, tmp_path):
+    first = demo()
+    (tmp_path / "demo" / "errors.csv").write_text("spoilt")
+    (tmp_path / "demo" / "notes.txt").write_text("mine")
+    second = demo()
+    assert second.errors == first.errors
+    assert len(pd.read_csv(tmp_path / "demo" / "errors.csv")) > 2
+    assert (tmp_path / "demo" / "notes.txt").read_text() == "mine"
+
+
+def test_interrupted_then_continued(demo, tmp_path, monkeypatch):
+    whole = demo(tmp_path / "whole")
+    fit = PCNDE.fit
+
+    def interrupted(cases, config, **options):
+        seen = []
+
+        def stop(iteration):
+            seen.append(iteration)
+            if len(seen) == 10:
+                raise KeyboardInterrupt
+
+        return fit(cases, config, **{**options, "progress": stop})
+
+    monkeypatch.setattr(module.PCNDE, "fit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        demo()
+    assert (tmp_path / "demo" / CHECKPOINT).exists()
+    assert not (tmp_path / "demo" / "model.npz").exists()
+    monkeypatch.setattr(module.PCNDE, "fit", fit)
+    continued = demo()
+    assert continued.errors == whole.errors
+    assert not (tmp_path / "demo" / CHECKPOINT).exists()
+
+
+def test_another_demo_is_not_overwritten(demo, tmp_path):
+    demo()
+    before = (tmp_path / "demo" / "model.npz").read_bytes()
+    with pytest.raises(InputError, match=r"another demo \(another seed\)"):
+        demo(seed=1)
+    assert (tmp_path / "demo" / "model.npz").read_bytes() == before
+
+
+def test_unusable_folders(demo, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="is a file"):
+        demo(tmp_path / "file")
+    with pytest.raises(FileError, match="Cannot make the folder"):
+        demo(tmp_path / "file" / "below")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "model.npz").write_text("mine")
+    with pytest.raises(FileError, match=r"model\.npz, which no demo has written"):
+        demo(tmp_path / "mine")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["model.npz"]
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / MARK).write_text("not JSON")
+    with pytest.raises(FileError, match="is not a demo's"):
+        demo(tmp_path / "odd")
+
+
+def test_the_preset_is_the_papers_with_fewer_epochs():
+    quick, paper = PRESETS["quick"], PRESETS["paper"]
+    changes = {"epochs": quick.flow.epochs, "couple_every": quick.flow.couple_every}
+    assert quick.flow.epochs < paper.flow.epochs
+    assert paper.replace(flow=changes) == quick
+
+
+def test_loss_history(demo):
+    figure = loss_history(demo().model.history)
+    shown = [axis for axis in figure.axes if axis.axison]
+    assert [axis.get_title() for axis in shown] == [
+        "flow",
+        "intermediate area",
+        "Fourier area",
+        "temporal pressure",
+        "spatial pressure",
+    ]
+    assert shown[0].get_ylabel() == "loss (mL²/s²)"
+    assert all(axis.get_xlabel() == "iteration" for axis in shown)
+
+
+def test_no_history_no_figure():
+    with pytest.raises(InputError, match="no history"):
+        loss_history(pd.DataFrame({"stage": []}))
+
+
+# ---- pcnde demo ------------------------------------------------------------------
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, small_cases, toy_engine, toy_config):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(module, "synthetic", lambda **_: small_cases)
+    monkeypatch.setattr(module, "select_engine", lambda name: toy_engine)
+    monkeypatch.setattr(module, "resolve_config", lambda name: toy_config)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_command(run, tmp_path):
+    folder = tmp_path / "demo"
+    code, out, err = run("demo", "--out", folder)
+    assert code == 0
+    mark = json.loads((folder / MARK).read_text())
+    for part in ("train", "test"):
+        for method in ("PCNDE", "nothing happens"):
+            assert f"{part}, {method}" in out
+            assert f"{mark['errors'][method][part]['flow']:.4f}" in out
+    assert f"pcnde predict {folder / 'model.npz'}" in out
+    assert "Traceback" not in err
+
+
+def test_command_refuses(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = run("demo", "--out", tmp_path / "file")
+    assert code == 2
+    assert "is a file" in err
+    assert run("demo", "--out", tmp_path / "demo")[0] == 0
+    code, _, err = run("demo", "--out", tmp_path / "demo", "--seed", 1)
+    assert code == 2
+    assert "another seed" in err
+
+
+def test_command_interrupted(run, tmp_path, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module.PCNDE, "fit", interrupt)
+    code, _, err = run("demo", "--out", tmp_path / "demo")
+    assert code == 130
+    assert "run the same command again" in err
