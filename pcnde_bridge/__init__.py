@@ -20,7 +20,6 @@ from pcnde_bridge.errors import (
 )
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.synthetic import synthetic
 
 __all__ = [
     "PAPER",
@@ -43,5 +42,4 @@ __all__ = [
     "download_published",
     "load_cases",
     "select_engine",
-    "synthetic",
 ]

@@ -1,0 +1,33 @@
+"""Julia's own tests of PCNDECore, where the machine has a usable Julia."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+
+import pytest
+
+from pcnde_bridge.engines.julia import _choice, julia_sources, julia_status
+
+pytestmark = pytest.mark.julia
+
+
+def test_julias_own_tests_pass():
+    status = julia_status()
+    if not (status.usable and status.executable and status.project):
+        pytest.skip(status.message)
+    done = subprocess.run(
+        [
+            str(status.executable),
+            f"--project={status.project}",
+            "--startup-file=no",
+            str(julia_sources() / "test" / "runtests.jl"),
+        ],
+        env={**_choice().environment, **os.environ},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=1200,
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    assert "Pass" in done.stdout
