@@ -325,12 +325,14 @@ def test_the_users_jax_precision_stays_as_it_was():
 
 @pytest.mark.parametrize("anchor", ["last_instant", "last_cycle", "undeformed"])
 def test_predict_is_the_five_stages_in_their_order(engine, grid, parameters, small_cases, anchor):
-    config = PUBLISHED_CODE.replace(fourier_area={"anchor": anchor})
+    # Round-off in the choice of steps shows up to the accuracy of the solve, which the
+    # kinks of S between the points limit to about 1e-8 in each pass.
+    config = PUBLISHED_CODE.replace(fourier_area={"anchor": anchor}, flow=TIGHT.flow.to_dict())
     given = (parameters, small_cases.inflow, small_cases.area_undeformed, grid, config)
     for fused, staged in zip(
         engine.predict(*given), predict_by_stages(engine, *given), strict=True
     ):
-        np.testing.assert_allclose(fused, staged, rtol=1e-6, atol=1e-7 * np.abs(staged).max())
+        np.testing.assert_allclose(fused, staged, rtol=0, atol=1e-6 * np.abs(staged).max())
 
 
 def test_predict_without_pressure_stages(engine, grid, parameters, small_cases):
