@@ -1,6 +1,6 @@
 """Make the README's figure: the hardest test case, predicted and true.
 
-python benchmarks/figure.py model.npz [docs/prediction.png]``.
+Run ``python benchmarks/figure.py model.npz [docs/prediction.png]``.
 """
 
 import sys
