@@ -65,6 +65,13 @@ SplitOption = Annotated[
         '{"train": [[G, W], ...], "test": [...]}.',
     ),
 ]
+PresetOption = Annotated[
+    str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="JSON file of settings that differ.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
 EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
 
 
@@ -73,14 +80,10 @@ def fit(
     data: DataArgument,
     out: Annotated[Path, typer.Option("--out", help="File for the fitted model.")],
     split: SplitOption = "paper",
-    preset: Annotated[
-        str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
-    ] = "paper",
-    config: Annotated[
-        Path | None, typer.Option("--config", help="JSON file of settings that differ.")
-    ] = None,
+    preset: PresetOption = "paper",
+    config: ConfigOption = None,
     engine: EngineOption = EngineChoice.auto,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")] = 0,
+    seed: SeedOption = 0,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
@@ -264,14 +267,10 @@ def bench(
     model: Annotated[
         Path | None, typer.Option("--model", help="Fitted model; without it one is trained.")
     ] = None,
-    preset: Annotated[
-        str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
-    ] = "paper",
-    config: Annotated[
-        Path | None, typer.Option("--config", help="JSON file of settings that differ.")
-    ] = None,
+    preset: PresetOption = "paper",
+    config: ConfigOption = None,
     engine: EngineOption = EngineChoice.auto,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")] = 0,
+    seed: SeedOption = 0,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write the results to this file.")
     ] = None,

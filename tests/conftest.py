@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from pcnde_bridge import cli
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.datasets import find_published, load_cases
@@ -193,3 +195,19 @@ def toy_engine() -> ToyEngine:
 def toy_config(small_config) -> PCNDEConfig:
     """As ``small_config``, with batches of 5, so that the last of 12 cases has 2."""
     return small_config.replace(batch_size=5)
+
+
+@pytest.fixture
+def run_pcnde(monkeypatch, capsys):
+    """Run the command line in this process: (exit code, output, errors)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code or 0
+        return code, *capsys.readouterr()
+
+    return run

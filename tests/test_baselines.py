@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, InputError, cli
+from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.baselines import (
     FEM_WALL,
     ResponseSurface,
@@ -238,20 +237,11 @@ def test_rows_as_json(tmp_path):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, toy_engine):
+def run(monkeypatch, toy_engine, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name: toy_engine)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
-
-    return run
+    return run_pcnde
 
 
 @pytest.fixture

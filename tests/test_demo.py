@@ -174,22 +174,13 @@ def test_no_history_no_figure():
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, small_cases, toy_engine, toy_config):
+def run(monkeypatch, small_cases, toy_engine, toy_config, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(module, "synthetic", lambda **_: small_cases)
     monkeypatch.setattr(module, "select_engine", lambda name: toy_engine)
     monkeypatch.setattr(module, "resolve_config", lambda name: toy_config)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
-
-    return run
+    return run_pcnde
 
 
 def test_command(run, tmp_path):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-import sys
 import warnings
 
 import numpy as np
 import pytest
 
-from pcnde_bridge import Cases, InputError, SolveError, cli, load_cases
+from pcnde_bridge import Cases, InputError, SolveError, load_cases
 from pcnde_bridge import synthetic as module
 from pcnde_bridge.synthetic import OUTLET_RESISTANCE, base_waveform, synthetic
 from pcnde_bridge.tube1d import Tube1D
@@ -211,20 +210,11 @@ def test_says_little(caplog, cases):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, tmp_path, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("PCNDE_CACHE", str(tmp_path / "cache"))
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        return code, *capsys.readouterr()
-
-    return run
+    return run_pcnde
 
 
 def test_simulate(run, solved, tmp_path, cases):
