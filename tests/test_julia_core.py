@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import subprocess
+from pathlib import Path
 
 import pytest
 
-from pcnde_bridge.engines.julia import _choice, julia_sources, julia_status
+from pcnde_bridge.engines.julia import _choice, julia_status
 
 pytestmark = pytest.mark.julia
+
+# Of the checkout: an installed package has no tests with it.
+_TESTS = Path(__file__).parents[1] / "julia" / "PCNDECore" / "test" / "runtests.jl"
 
 
 def test_julias_own_tests_pass():
@@ -21,7 +25,7 @@ def test_julias_own_tests_pass():
             str(status.executable),
             f"--project={status.project}",
             "--startup-file=no",
-            str(julia_sources() / "test" / "runtests.jl"),
+            str(_TESTS),
         ],
         env={**_choice().environment, **os.environ},
         capture_output=True,
