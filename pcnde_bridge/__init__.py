@@ -6,7 +6,15 @@ Mohan, Livescu and Arzani (2024).  Units are CGS: cm, s, mL/s, dyn/cm².
 
 from pcnde_bridge._version import __version__
 from pcnde_bridge.cases import Cases, Split, UnitsWarning
-from pcnde_bridge.config import PAPER, PRESETS, PUBLISHED_CODE, PCNDEConfig
+from pcnde_bridge.config import (
+    FAST,
+    PAPER,
+    PHYSICS,
+    PRESETS,
+    PUBLISHED_CODE,
+    ClosureConfig,
+    PCNDEConfig,
+)
 from pcnde_bridge.datasets import download_published, load_cases
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.errors import (
@@ -19,19 +27,24 @@ from pcnde_bridge.errors import (
     SolveError,
 )
 from pcnde_bridge.model import PCNDE
+from pcnde_bridge.novelty import OutsideTrainingWarning
 from pcnde_bridge.prediction import Prediction
 
 __all__ = [
+    "FAST",
     "PAPER",
     "PCNDE",
+    "PHYSICS",
     "PRESETS",
     "PUBLISHED_CODE",
     "Cases",
+    "ClosureConfig",
     "DataNotFoundError",
     "EngineError",
     "EngineUnavailableError",
     "FileError",
     "InputError",
+    "OutsideTrainingWarning",
     "PCNDEConfig",
     "PCNDEError",
     "Prediction",

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pcnde_bridge._version import __version__
-from pcnde_bridge.config import PRESETS, PCNDEConfig, resolve_config
+from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.errors import FileError, InputError, PCNDEError
 from pcnde_bridge.files import atomic_write
 
@@ -168,17 +168,36 @@ def predict(
         Path, typer.Option("--out", help="Result: .csv (tidy), .npz or .h5 (a data set).")
     ],
     engine: EngineOption = EngineChoice.auto,
+    samples: Annotated[
+        int,
+        typer.Option(
+            "--samples",
+            min=0,
+            help="Draws for the standard deviations in a .csv (preset physics); 64 are enough.",
+        ),
+    ] = 0,
 ) -> None:
-    """Predict flow, area and pressure for new inflows and vessels."""
+    """Predict flow, area and pressure for new inflows and vessels.
+
+    A model of the preset physics takes any equally spaced instants of a cycle and any
+    points; another those of its training.
+    """
     from pcnde_bridge.model import PCNDE
-    from pcnde_bridge.tables import read_columns
+    from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
     if out.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
         raise InputError(f"Cannot tell the format of {out}: it must end in .csv, .npz or .h5.")
+    if samples and out.suffix != ".csv":
+        raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = PCNDE.load(model, engine=engine.value)
-    q = read_columns(inflow, "time", fitted.grid.time, "s")
-    s_u = read_columns(area, "z", fitted.grid.z, "cm")
-    prediction = fitted.predict(q, s_u)
+    if fitted.any_grid:
+        period, q = read_cycle(inflow)
+        z, s_u = read_table(area, "z")
+        prediction = fitted.predict(q, s_u, z=z, period=period, samples=samples)
+    else:
+        q = read_columns(inflow, "time", fitted.grid.time, "s")
+        s_u = read_columns(area, "z", fitted.grid.z, "cm")
+        prediction = fitted.predict(q, s_u, samples=samples)
     if out.suffix == ".csv":
         with atomic_write(out) as temporary:
             prediction.to_frame().to_csv(temporary, index=False)
@@ -370,7 +389,7 @@ def _fail(message: str, code: int) -> None:
     sys.exit(code)
 
 
-def _settings(preset: str, path: Path | None) -> PCNDEConfig:
+def _settings(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
     settings = resolve_config(preset)
     if path is None:
         return settings

@@ -24,6 +24,7 @@ Activation = Literal["tanh", "gelu", "relu", "sigmoid", "swish"]
 Loss = Literal["mean", "sum"]
 
 _Config = TypeVar("_Config", bound="_Section")
+_Whole = TypeVar("_Whole", bound="_Settings")
 
 
 class _Section:
@@ -68,6 +69,42 @@ class _Section:
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as nested plain dictionaries, ready for JSON."""
         return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+
+
+class _Settings(_Section):
+    """A whole configuration: read from and written to mappings and JSON."""
+
+    def to_json(self) -> str:
+        """Return the settings as a JSON text that :meth:`from_json` reads back."""
+        return json.dumps(self.to_dict(), indent=1)
+
+    @classmethod
+    def from_dict(cls: type[_Whole], settings: Mapping[str, Any]) -> _Whole:
+        """Make settings from nested mappings; what is left out keeps its default.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not usable.
+        """
+        if not isinstance(settings, Mapping):
+            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
+        return cls().replace(**settings)
+
+    @classmethod
+    def from_json(cls: type[_Whole], text: str) -> _Whole:
+        """Inverse of :meth:`to_json`.
+
+        Raises
+        ------
+        InputError
+            If the text is not JSON, a name is unknown or a value is not usable.
+        """
+        try:
+            settings = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"The configuration is not JSON: {error}.") from error
+        return cls.from_dict(settings)
 
 
 def _smallest(value: Any) -> float:
@@ -183,6 +220,9 @@ class FlowStage(_Section):
         cm; None takes the grid's first spacing, as the published code does.
     max_steps : int
         Accepted and rejected steps after which a solve counts as diverged.
+    steps : int or None
+        Equal steps of Tsit5 in place of adaptive ones; then the four settings
+        before this one do not matter.
     loss : {'mean', 'sum'}
         Mean (paper) or sum (published code) of squared errors.  The optimiser's
         path does not depend on the scale, but for its gradient tolerance.
@@ -197,6 +237,7 @@ class FlowStage(_Section):
     atol: float = _positive(1e-6)
     first_step: float | None = _positive(None)
     max_steps: int = _positive(256)
+    steps: int | None = _positive(None)
     loss: Loss = "mean"
 
 
@@ -296,7 +337,55 @@ class SpatialPressureStage(_Section):
 
 
 @dataclass(frozen=True)
-class PCNDEConfig(_Section):
+class AllAtOnce(_Section):
+    """Training on all cases at once, with least squares for all that is linear.
+
+    Networks are fitted by L-BFGS without restarts, in whitened weights
+    (:mod:`pcnde_bridge.lbfgs`); both area stages, the last layer of the pressure
+    network, a₁, a₂ and b₁ by least squares.  The numbers were chosen by cross-validation
+    inside the published training cases (CONTRIBUTING has the measurement).
+
+    Attributes
+    ----------
+    rounds : int
+        Fits of the flow, each followed by a fit of the area, which is then coupled back.
+        With a validation part, the first fits the networks to the other cases alone and
+        stops by the validation part's error; the others go on from there on all cases.
+    iterations, later_iterations : int
+        L-BFGS iterations of the flow in the first round, and in each later one.
+    pressure_iterations : int
+        L-BFGS iterations of each of the pressure fits.
+    memory : int
+        Pairs of steps and gradient changes that L-BFGS keeps.
+    validation : float
+        Share of the cases, about, in the validation part, which is made of whole
+        waveforms and whole geometries; with too few cases there is none.  0 fits all
+        cases from the first round for the given iterations, which did better.
+    patience, check_every : int
+        Iterations without a lower validation error that end a fit, and between two looks.
+    whitening : float
+        Variance, in units of the largest, below which a component of a network's
+        inputs is not amplified to the size of the others.
+    weight_decay, pressure_weight_decay : float
+        Of the flow's and the pressure's network: multiply the whitened weights' squares,
+        beside the loss over the target's mean square.
+    """
+
+    rounds: int = _positive(3)
+    iterations: int = _positive(120)
+    later_iterations: int = _positive(40)
+    pressure_iterations: int = _positive(100)
+    memory: int = _positive(20)
+    validation: float = 0.0
+    patience: int = _positive(30)
+    check_every: int = _positive(10)
+    whitening: float = _positive(1e-2)
+    weight_decay: float = 1e-7
+    pressure_weight_decay: float = 1e-3
+
+
+@dataclass(frozen=True)
+class PCNDEConfig(_Settings):
     """All settings of a PCNDE, grouped per stage; the default is the paper's.
 
     Attributes
@@ -309,6 +398,11 @@ class PCNDEConfig(_Section):
         Trained in turns, coupled.
     temporal_pressure, spatial_pressure : stage settings
         Trained after them.
+    training : {'batches', 'all_at_once'}
+        BFGS restarted in every batch (paper), or what ``all_at_once`` says; then the
+        optimiser, the stages' epochs and iterations and the batch size do not matter.
+    all_at_once : AllAtOnce
+        Settings of that.
     batch_size : int
         Cases in a batch of the flow and area stages.
     coupling_passes : int
@@ -328,40 +422,130 @@ class PCNDEConfig(_Section):
     fourier_area: FourierAreaStage = FourierAreaStage()
     temporal_pressure: TemporalPressureStage = TemporalPressureStage()
     spatial_pressure: SpatialPressureStage = SpatialPressureStage()
+    training: Literal["batches", "all_at_once"] = "batches"
+    all_at_once: AllAtOnce = AllAtOnce()
     batch_size: int = _positive(12)
     coupling_passes: int = _positive(3)
 
-    def to_json(self) -> str:
-        """Return the settings as a JSON text that :meth:`from_json` reads back."""
-        return json.dumps(self.to_dict(), indent=1)
 
-    @classmethod
-    def from_dict(cls, settings: Mapping[str, Any]) -> PCNDEConfig:
-        """Make settings from nested mappings; what is left out keeps its default.
+@dataclass(frozen=True)
+class OutletClosure(_Section):
+    """Outlet condition p(L) = p_d + 𝒵 Q(L); what is None is learned.
 
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is not usable.
-        """
-        if not isinstance(settings, Mapping):
-            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
-        return cls().replace(**settings)
+    Attributes
+    ----------
+    resistance : float or None
+        R₁ + R₂, dyn·s/cm⁵.
+    distal_pressure : float or None
+        p_d, dyn/cm².
+    kind : {'auto', 'resistance', 'windkessel'}
+        A resistance, or a three-element Windkessel 𝒵 = R₁ + R₂/(1 + iωR₂C).
+        'auto' takes the resistance unless it misses the training cases' outlet
+        pressure by more than 1 % of its variation.
+    """
 
-    @classmethod
-    def from_json(cls, text: str) -> PCNDEConfig:
-        """Inverse of :meth:`to_json`.
+    resistance: float | None = _positive(None)
+    distal_pressure: float | None = field(default=None, metadata={"signed": True})
+    kind: Literal["auto", "resistance", "windkessel"] = "auto"
 
-        Raises
-        ------
-        InputError
-            If the text is not JSON, a name is unknown or a value is not usable.
-        """
-        try:
-            settings = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"The configuration is not JSON: {error}.") from error
-        return cls.from_dict(settings)
+
+@dataclass(frozen=True)
+class LossClosure(_Section):
+    """Pressure losses along the vessel; what is None is learned.
+
+    Attributes
+    ----------
+    friction, inertia, convection : float or None
+        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.losses`; 1 is
+        Poiseuille's friction and a flat profile's momentum.
+    jet_spread : float or None
+        Growth of a free jet's radius per length of the way.
+    """
+
+    friction: float | None = _positive(None)
+    inertia: float | None = _positive(None)
+    convection: float | None = _positive(None)
+    jet_spread: float | None = _positive(None)
+
+
+@dataclass(frozen=True)
+class WallClosure(_Section):
+    """Wall; what is None is learned.
+
+    Attributes
+    ----------
+    law : {'auto', 'membrane', 'local'}
+        An elastic membrane clamped at both ends, as in 3D fluid–structure
+        simulations, or a tube law, as in 1D solvers.  'auto' takes the membrane
+        if the ends of the training cases do not move.
+    stiffness : float or None
+        K = E·h/(1 − ν²), dyn/cm, of the membrane; K in p = K·(√(S/S_u) − 1) at
+        the inlet, dyn/cm², of the tube law.
+    poisson, shear, support : float or None
+        ν, the shear ratio and the axial support (1/cm²) of the membrane.
+    exponent : float or None
+        m of the tube law's K·(r_0/r_u)^m.
+    zero_pressure : float or None
+        p₀, at which the wall is undeformed, dyn/cm².
+    """
+
+    law: Literal["auto", "membrane", "local"] = "auto"
+    stiffness: float | None = _positive(None)
+    poisson: float | None = None
+    shear: float | None = _positive(None)
+    support: float | None = _positive(None)
+    exponent: float | None = field(default=None, metadata={"signed": True})
+    zero_pressure: float | None = field(default=None, metadata={"signed": True})
+
+
+@dataclass(frozen=True)
+class CorrectionClosure(_Section):
+    """Continuity's factor and the learned correction.
+
+    Attributes
+    ----------
+    storage : float or None
+        κ in ∂Q/∂z = −κ(1 − g)·∂S/∂t; 1 conserves volume.  None learns it: averaged
+        3D simulations need not conserve it.
+    hidden : tuple of int
+        Widths of the correction's hidden layers.
+    weight_decay : float
+        Of the network's weights.
+    evaluations : int
+        Largest number of evaluations of a fit.
+    passes : int
+        Coupling passes of flow, area and pressure.
+    folds : int
+        Parts into which the training cases' geometries, and once more their
+        waveforms, are divided to hold them out in turns; the fits without a part
+        are the ensemble that gives the uncertainty.  0 leaves it out.
+    """
+
+    storage: float | None = _positive(None)
+    hidden: tuple[int, ...] = _positive(())
+    weight_decay: float = 1e-4
+    evaluations: int = _positive(60)
+    passes: int = _positive(8)
+    folds: int = 3
+
+
+@dataclass(frozen=True)
+class ClosureConfig(_Settings):
+    """All settings of the ``physics`` preset; see :mod:`pcnde_bridge.closures`.
+
+    Attributes
+    ----------
+    physics : Physics
+        Density and viscosity of blood are used.
+    outlet, losses, wall, correction : closure settings
+        Fitted in this order.
+    """
+
+    physics: Physics = Physics()
+    outlet: OutletClosure = OutletClosure()
+    losses: LossClosure = LossClosure()
+    wall: WallClosure = WallClosure()
+    correction: CorrectionClosure = CorrectionClosure()
 
 
 PAPER = PCNDEConfig()
@@ -383,13 +567,22 @@ QUICK = PAPER.replace(flow={"epochs": 60, "couple_every": 20})
 
 For a first look, as ``pcnde demo`` takes."""
 
-PRESETS: Mapping[str, PCNDEConfig] = types.MappingProxyType(
-    {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK}
+FAST = PAPER.replace(training="all_at_once", flow={"steps": 12})
+"""The paper's equations and parameters, trained all at once, in seconds.
+
+Twelve equal steps solve the momentum equation as exactly as the adaptive ones do."""
+
+PHYSICS = ClosureConfig()
+"""Closures that obey what the data obey; see :mod:`pcnde_bridge.closures`."""
+
+PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
+    {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK, "fast": FAST}
+    | {"physics": PHYSICS}
 )
 """The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
 
 
-def resolve_config(config: PCNDEConfig | str) -> PCNDEConfig:
+def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | ClosureConfig:
     """Return a configuration given as itself or by its preset's name.
 
     Raises
@@ -397,7 +590,7 @@ def resolve_config(config: PCNDEConfig | str) -> PCNDEConfig:
     InputError
         If there is no preset of that name.
     """
-    if isinstance(config, PCNDEConfig):
+    if isinstance(config, PCNDEConfig | ClosureConfig):
         return config
     if isinstance(config, str) and config in PRESETS:
         return PRESETS[config]

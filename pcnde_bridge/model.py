@@ -5,35 +5,41 @@ from __future__ import annotations
 import math
 import os
 import platform
+import warnings
 from collections.abc import Callable, Mapping
 from datetime import datetime, timezone
 from importlib.metadata import version as version_of
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge import history as histories
+from pcnde_bridge import recipes
 from pcnde_bridge._version import __version__
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PUBLISHED_CODE, PCNDEConfig, resolve_config
+from pcnde_bridge.closures.parameters import ClosureParameters
+from pcnde_bridge.closures.uncertainty import Uncertainty, draw
+from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine, Grid
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
-from pcnde_bridge.parameters import STAGES, Parameters
+from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
+from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.progress import TrainingProgress
 from pcnde_bridge.published_weights import read_published_weights
-from pcnde_bridge.training import Trainer, TrainingState, count_iterations
 
 Array = npt.NDArray[np.float64]
 
 _KIND, _VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
+_FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
+
+_Part = TypeVar("_Part", Uncertainty, Novelty)
 
 
 class PCNDE:
@@ -43,41 +49,49 @@ class PCNDE:
 
     Attributes
     ----------
-    config : PCNDEConfig
+    config : PCNDEConfig or ClosureConfig
         Settings of the fit.
-    parameters : Parameters
+    parameters : Parameters or ClosureParameters
         The learnt numbers.
     grid : Grid
-        Instants (s), points (cm) and period (s) on which the model works.
+        Instants (s), points (cm) and period (s) of the training cases.
     engine : Engine
         Computes the predictions.
     provenance : dict
         What is needed to run the fit again: seed, batches, data fingerprint,
         engine, versions, time.
+    uncertainty : Uncertainty or None
+        What samples of a prediction are made of; the ``physics`` preset has it.
+    novelty : Novelty or None
+        Tells whether an input lies outside the training data.
     """
 
     def __init__(
         self,
-        config: PCNDEConfig,
-        parameters: Parameters,
+        config: PCNDEConfig | ClosureConfig,
+        parameters: Parameters | ClosureParameters,
         grid: Grid,
         engine: Engine,
         provenance: Mapping[str, Any] | None = None,
         history: tuple[Iteration, ...] = (),
+        uncertainty: Uncertainty | None = None,
+        novelty: Novelty | None = None,
     ) -> None:
-        parameters.check(config, grid.time.size, grid.z.size)
+        recipes.check(config, parameters, grid)
         self.config = config
         self.parameters = parameters
         self.grid = grid
         self.engine = engine
         self.provenance = dict(provenance or {})
+        self.uncertainty = uncertainty
+        self.novelty = novelty
         self._history = history
 
     @classmethod
     def fit(
         cls,
         cases: Cases,
-        config: PCNDEConfig | str = "paper",
+        config: PCNDEConfig | ClosureConfig | str = "paper",
         engine: EngineName | Engine = "auto",
         seed: int = 0,
         checkpoint: str | os.PathLike[str] | None = None,
@@ -89,8 +103,10 @@ class PCNDE:
         ----------
         cases : Cases
             The training cases.
-        config : PCNDEConfig or str
-            Settings, or a preset's name.
+        config : PCNDEConfig, ClosureConfig or str
+            Settings, or a preset's name: ``paper`` as published; ``fast`` the same
+            equations trained in seconds; ``physics`` the most accurate, on any
+            grid, with uncertainty.
         engine : {'auto', 'julia', 'jax'} or Engine
             Who computes; see :func:`pcnde_bridge.engines.select_engine`.
         seed : int
@@ -136,19 +152,18 @@ class PCNDE:
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
         settings = resolve_config(config)
-        on_record = progress if callable(progress) else None
-        trainer = Trainer(cases, settings, engine := select_engine(engine), checkpoint, on_record)
-        state = trainer.start(int(seed))
-        if progress is True:
-            total = count_iterations(settings, len(state.batches))
-            with TrainingProgress(total, len(state.history)) as bar:
-                trainer.on_record = bar
-                state = trainer.run(state)
-        else:
-            state = trainer.run(state)
-        provenance = _provenance(cases, state, engine)
-        grid = Grid(cases.time, cases.z, cases.period)
-        return cls(settings, state.parameters, grid, engine, provenance, state.history)
+        engine = select_engine(engine, closures=isinstance(settings, ClosureConfig))
+        trained = recipes.train(cases, settings, engine, int(seed), checkpoint, progress)
+        return cls(
+            trained.config,
+            trained.parameters,
+            Grid(cases.time, cases.z, cases.period),
+            engine,
+            _provenance(cases, trained.facts, engine),
+            trained.history,
+            trained.uncertainty,
+            Novelty.of(cases.inflow, cases.area_undeformed, cases.z),
+        )
 
     @classmethod
     def from_published_weights(
@@ -194,12 +209,17 @@ class PCNDE:
     @property
     def has_pressure(self) -> bool:
         """Whether the pressure stages are there."""
-        return self.parameters.has_pressure
+        return isinstance(self.parameters, ClosureParameters) or self.parameters.has_pressure
 
     def predict(
         self,
         inflow: npt.ArrayLike | Cases,
         area_undeformed: npt.ArrayLike | None = None,
+        *,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+        samples: int = 0,
+        seed: int = 0,
     ) -> Prediction:
         """Predict flow, area and pressure.
 
@@ -207,33 +227,54 @@ class PCNDE:
         ----------
         inflow : array of shape (case, time) or (time,), or Cases
             Q at the inlet, mL/s, at the model's instants (:attr:`grid`); from
-            cases, their flow at the first point.
+            cases, their flow at the first point.  A model of the ``physics``
+            preset takes any number of equally spaced instants of one cycle.
         area_undeformed : array of shape (case, z) or (z,)
-            S_u, cm², at the model's points.  One waveform goes with many
-            geometries and the other way round.
+            S_u, cm², at the model's points, or at ``z``.  One waveform goes with
+            many geometries and the other way round.
+        z : array of shape (z,), optional
+            Points, cm, where they are not the model's (``physics`` preset).
+        period : float, optional
+            s, where it is not the model's (``physics`` preset).
+        samples : int
+            Draws of the prediction (``physics`` preset): the result's ``samples``,
+            ``deviation`` and ``interval()``.  They take memory of that many
+            predictions.
+        seed : int
+            Of the draws.
 
         Returns
         -------
         Prediction
-            Arrays (case, time, z), and ``to_frame()``.
+            Arrays (case, time, z), and ``to_frame()``; ``novelty`` says how far each
+            case lies from the training data.
+
+        Warns
+        -----
+        OutsideTrainingWarning
+            If an input lies outside the training data.
 
         Raises
         ------
         InputError
             If shapes or the grid are not the model's, or a value is not usable.
         SolveError
-            If the momentum equation diverges for an input.
+            If the equations diverge for an input.
         """
         if isinstance(inflow, Cases):
-            if area_undeformed is not None:
+            if area_undeformed is not None or z is not None or period is not None:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             cases = inflow
-            self._check_grid(cases)
-            return self._predict(cases.inflow, cases.area_undeformed, cases.labels)
+            grid = Grid(cases.time, cases.z, cases.period)
+            if not self.any_grid:
+                self._check_grid(cases)
+            inputs = cases.inflow, cases.area_undeformed
+            return self._predict(*inputs, grid, cases.labels, samples, seed)
         if area_undeformed is None:
             raise InputError("predict needs area_undeformed beside the inflow.")
-        q = _rows("inflow", inflow, self.grid.time.size, "instants")
-        s_u = _rows("area_undeformed", area_undeformed, self.grid.z.size, "points")
+        grid = self._grid_of(inflow, z, period)
+        q = _rows("inflow", inflow, grid.time.size, "instants")
+        s_u = _rows("area_undeformed", area_undeformed, grid.z.size, "points")
         if (s_u <= 0).any():
             case, point = np.argwhere(s_u <= 0)[0]
             raise InputError(
@@ -249,20 +290,98 @@ class PCNDE:
         q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
         s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
         labels = pd.DataFrame({"case": np.arange(count)})
-        return self._predict(q, s_u, labels)
+        return self._predict(q, s_u, grid, labels, samples, seed)
 
-    def _predict(self, inflow: Array, area_undeformed: Array, labels: pd.DataFrame) -> Prediction:
-        solution = self.engine.predict(
-            self.parameters, inflow, area_undeformed, self.grid, self.config
-        )
+    @property
+    def any_grid(self) -> bool:
+        """Whether the model works on other grids than that of its training (``physics``)."""
+        return isinstance(self.config, ClosureConfig)
+
+    def _grid_of(
+        self, inflow: npt.ArrayLike, z: npt.ArrayLike | None, period: float | None
+    ) -> Grid:
+        """Grid of a prediction from arrays."""
+        if not self.any_grid:
+            if z is not None or period is not None:
+                raise InputError(
+                    "This model works on the points and the period of its training only: leave z "
+                    "and period out. A model of the physics preset takes others."
+                )
+            return self.grid
+        shape = np.shape(inflow)
+        n_times = shape[-1] if shape else 0
+        if n_times < _FEWEST_INSTANTS:
+            raise InputError(
+                f"inflow has {n_times} instants per cycle; at least {_FEWEST_INSTANTS} are needed."
+            )
+        points: Array = self.grid.z
+        if z is not None:
+            points = _rows("z", z, np.size(z), "points")[0]
+            if points.size < _FEWEST_POINTS or (np.diff(points) <= 0).any():
+                raise InputError(f"z must increase and have at least {_FEWEST_POINTS} points.")
+        cycle = self.grid.period if period is None else period
+        if not (math.isfinite(cycle) and cycle > 0):
+            raise InputError(f"period must be a positive number of seconds, got {period!r}.")
+        return Grid(np.arange(float(n_times)) * (cycle / n_times), points, float(cycle))
+
+    def _predict(
+        self,
+        inflow: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        labels: pd.DataFrame,
+        samples: int,
+        seed: int,
+    ) -> Prediction:
+        if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 0:
+            raise InputError(f"samples must be a whole number ≥ 0, got {samples!r}.")
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        if samples and self.uncertainty is None:
+            raise InputError(
+                "This model has no uncertainty to draw samples from. Fit it with the preset "
+                "'physics' (and correction.folds > 0)."
+            )
+        score = self._novelty_of(inflow, area_undeformed, grid)
+        args = inflow, area_undeformed, grid
+        solution = recipes.predict(self.engine, self.config, self.parameters, *args)
+        drawn = None
+        if samples:
+            assert self.uncertainty is not None
+            assert isinstance(self.config, ClosureConfig)
+            assert isinstance(self.parameters, ClosureParameters)
+            drawn = draw(
+                self.engine.closures,
+                self.parameters,
+                self.uncertainty,
+                solution,
+                *args,
+                self.config,
+                int(samples),
+                np.random.default_rng(seed),
+            )
         return Prediction(
-            *solution,
-            area_undeformed,
-            self.grid.time,
-            self.grid.z,
-            self.grid.period,
-            labels,
+            *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn
         )
+
+    def _novelty_of(self, inflow: Array, area_undeformed: Array, grid: Grid) -> Array | None:
+        """Score of every case, with a warning for those beyond the training data."""
+        if self.novelty is None:
+            return None
+        of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
+        score: Array = np.maximum(of_inflow, of_area)
+        outside = np.flatnonzero(score > 1 + _SAME_GRID)
+        if outside.size:
+            worst = int(score.argmax())
+            what = "inflow" if of_inflow[worst] > of_area[worst] else "undeformed area"
+            warnings.warn(
+                f"{outside.size} of {len(score)} cases lie outside the training data, most of all "
+                f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "
+                "training data). The prediction extrapolates.",
+                OutsideTrainingWarning,
+                stacklevel=4,
+            )
+        return score
 
     def evaluate(self, cases: Cases) -> pd.DataFrame:
         """Relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
@@ -304,6 +423,9 @@ class PCNDE:
             "history": histories.to_array(self._history),
             **dict(self.parameters),
         }
+        for prefix, part in (("uncertainty", self.uncertainty), ("novelty", self.novelty)):
+            if part is not None:
+                arrays |= {f"{prefix}_{name}": array for name, array in part}
         write_archive(path, _KIND, _VERSION, facts, arrays)
 
     @classmethod
@@ -324,15 +446,22 @@ class PCNDE:
         """
         facts, arrays = read_archive(path, _KIND, _VERSION, "model")
         try:
-            config = PCNDEConfig.from_dict(facts["config"])
-            parameters = Parameters(**{stage: arrays[stage] for stage in STAGES})
+            config = recipes.config_from(facts["config"])
+            parameters = recipes.parameters_from(config, arrays)
+            uncertainty = _part(Uncertainty, "uncertainty", arrays)
+            novelty = _part(Novelty, "novelty", arrays)
             grid = Grid(arrays["time"], arrays["z"], float(arrays["period"]))
             history = tuple(histories.from_array(arrays["history"]))
             provenance = dict(facts["provenance"])
-            parameters.check(config, grid.time.size, grid.z.size)
+            recipes.check(config, parameters, grid)
+            if novelty is not None:
+                novelty.check()
+            if uncertainty is not None and isinstance(parameters, ClosureParameters):
+                uncertainty.check(parameters.correction.size)
         except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise FileError(f"{path} is not a whole model: {error}.") from error
-        return cls(config, parameters, grid, select_engine(engine), provenance, history)
+        chosen = select_engine(engine, closures=isinstance(config, ClosureConfig))
+        return cls(config, parameters, grid, chosen, provenance, history, uncertainty, novelty)
 
     def __repr__(self) -> str:
         """Return the grid's size, engine and source."""
@@ -383,11 +512,17 @@ def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:
     return array
 
 
-def _provenance(cases: Cases, state: TrainingState, engine: Engine) -> dict[str, Any]:
+def _part(of: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | None:
+    """Make an optional part of a model from those arrays of its file that are its own."""
+    start = f"{prefix}_"
+    mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
+    return of(**mine) if mine else None
+
+
+def _provenance(cases: Cases, facts: Mapping[str, Any], engine: Engine) -> dict[str, Any]:
     packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
     return {
-        "seed": state.seed,
-        "batches": [[int(i) for i in batch] for batch in state.batches],
+        **facts,
         "cases": len(cases),
         "cases_fingerprint": cases.fingerprint(),
         "engine": engine.name,
@@ -399,5 +534,4 @@ def _provenance(cases: Cases, state: TrainingState, engine: Engine) -> dict[str,
         },
         "platform": platform.platform(),
         "trained": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "seconds": state.seconds,
     }

@@ -14,6 +14,76 @@ from pcnde_bridge.errors import FileError, InputError
 Array = npt.NDArray[np.float64]
 
 
+def read_table(path: str | os.PathLike[str], axis: str) -> tuple[Array, Array]:
+    """Read an axis and one column for each case.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV file whose first column is named ``axis``.
+    axis : str
+        ``"time"`` or ``"z"``.
+
+    Returns
+    -------
+    array of shape (n,), array of shape (case, n)
+        The first column, and the others.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read as a table.
+    InputError
+        If a column is missing or not numeric.
+    """
+    name = Path(path)
+    try:
+        frame = pd.read_csv(name)
+    except (OSError, ValueError, pd.errors.ParserError) as error:
+        raise FileError(f"Cannot read a table from {name}: {error}.") from error
+    if frame.shape[1] < 2 or frame.columns[0] != axis:
+        raise InputError(
+            f"{name} must have the columns {axis}, then one for each case; it has "
+            f"{list(frame.columns)}."
+        )
+    for column in frame.columns:
+        if not pd.api.types.is_numeric_dtype(frame[column]) or frame[column].isna().any():
+            bad = pd.to_numeric(frame[column], errors="coerce").isna()
+            line = int(np.flatnonzero(bad)[0]) + 2 if bad.any() else 2
+            raise InputError(f"{name}, line {line}, column {column}: not a number.")
+    columns = np.ascontiguousarray(frame.iloc[:, 1:].to_numpy(dtype=np.float64).T)
+    return frame[axis].to_numpy(dtype=np.float64), columns
+
+
+def read_cycle(path: str | os.PathLike[str]) -> tuple[float, Array]:
+    """Read one cycle of waveforms at equally spaced instants, without its end point.
+
+    Returns
+    -------
+    float, array of shape (case, time)
+        The period (s) that the instants make, and the columns.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read as a table.
+    InputError
+        If a column is missing or not numeric, or the instants are not equally spaced.
+    """
+    time, columns = read_table(path, "time")
+    if time.size < 2:
+        raise InputError(f"{path} has {time.size} instants; a cycle needs more.")
+    steps = np.diff(time)
+    step = (time[-1] - time[0]) / (time.size - 1)
+    if step <= 0 or np.abs(steps - step).max() > 1e-6 * abs(step) * time.size:
+        line = int(np.abs(steps - step).argmax()) + 3
+        raise InputError(
+            f"{path}, line {line}: the instants are not equally spaced. Interpolate the cycle to "
+            "equal steps, without its end point."
+        )
+    return step * time.size, columns
+
+
 def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit: str) -> Array:
     """Read one column for each case, given at an axis that must be the model's.
 
@@ -41,21 +111,7 @@ def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit:
         If a column is missing or not numeric, or the axis is another.
     """
     name = Path(path)
-    try:
-        frame = pd.read_csv(name)
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        raise FileError(f"Cannot read a table from {name}: {error}.") from error
-    if frame.shape[1] < 2 or frame.columns[0] != axis:
-        raise InputError(
-            f"{name} must have the columns {axis}, then one for each case; it has "
-            f"{list(frame.columns)}."
-        )
-    for column in frame.columns:
-        if not pd.api.types.is_numeric_dtype(frame[column]) or frame[column].isna().any():
-            bad = pd.to_numeric(frame[column], errors="coerce").isna()
-            line = int(np.flatnonzero(bad)[0]) + 2 if bad.any() else 2
-            raise InputError(f"{name}, line {line}, column {column}: not a number.")
-    found = frame[axis].to_numpy(dtype=np.float64)
+    found, columns = read_table(name, axis)
     if len(found) != len(expected):
         raise InputError(
             f"{name} has {len(found)} rows, but the model works on {len(expected)} values of "
@@ -67,4 +123,4 @@ def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit:
             f"{name}, line {worst + 2}: {axis} is {found[worst]:g} {unit}, but the model works at "
             f"{expected[worst]:g} {unit}: interpolate to its grid."
         )
-    return np.ascontiguousarray(frame.iloc[:, 1:].to_numpy(dtype=np.float64).T)
+    return columns

@@ -9,9 +9,9 @@ run continued from a checkpoint repeats the interrupted one bit for bit.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge import all_at_once
 from pcnde_bridge import history as histories
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
@@ -29,17 +30,15 @@ from pcnde_bridge.engines.base import (
     FourierAreaInputs,
     Grid,
     IntermediateAreaInputs,
-    OnIteration,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.history import Iteration
+from pcnde_bridge.history import Iteration, OnRecord, Recorder
 from pcnde_bridge.inference import initial_area, solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, Parameters, initial_parameters
 
 Array = npt.NDArray[np.float64]
-OnRecord = Callable[[Iteration], None]
 
 _KIND, _VERSION = "pcnde-checkpoint", 1
 
@@ -84,8 +83,14 @@ class TrainingState:
 
     @classmethod
     def start(cls, cases: Cases, config: PCNDEConfig, seed: int) -> TrainingState:
-        """State before the first unit: seeded parameters and order of the batches."""
+        """State before the first unit: seeded parameters and order of the batches.
+
+        With ``training="all_at_once"`` the batches are the training part and, unless it
+        is left out, the validation part.
+        """
         parameters = initial_parameters(config, cases.n_times, cases.n_points, seed)
+        if config.training == "all_at_once":
+            return cls(seed, all_at_once.parts(cases, config.all_at_once, seed), parameters)
         order = np.random.default_rng(seed).permutation(cases.n_cases)
         batches = tuple(
             order[i : i + config.batch_size] for i in range(0, cases.n_cases, config.batch_size)
@@ -100,6 +105,12 @@ class TrainingState:
 
 def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
     """All units of a run, in order."""
+    if config.training == "all_at_once":
+        rounds = range(1, config.all_at_once.rounds + 1)
+        units = [Unit(work, r, 1) for r in rounds for work in ("flow", "coupling")]
+        # As the flow: with the validation part kept apart, then on all cases.
+        units += [Unit("temporal_pressure", r, 1) for r in range(1, n_batches + 1)]
+        return [*units, Unit("spatial_pressure", 1, 1)]
     units = []
     for epoch in range(1, config.flow.epochs + 1):
         units += [Unit("flow", epoch, batch) for batch in range(1, n_batches + 1)]
@@ -110,6 +121,10 @@ def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
 
 def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all stages, if no fit ends early."""
+    if config.training == "all_at_once":
+        fast = config.all_at_once
+        flow_iterations = fast.iterations + (fast.rounds - 1) * fast.later_iterations
+        return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
     flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every
     area = config.intermediate_area.iterations + config.fourier_area.iterations
     return (
@@ -127,7 +142,7 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
     InputError
         Naming the setting and what to change.
     """
-    if config.flow.epochs < config.flow.couple_every:
+    if config.training == "batches" and config.flow.epochs < config.flow.couple_every:
         raise InputError(
             f"flow.epochs={config.flow.epochs} is smaller than flow.couple_every="
             f"{config.flow.couple_every}: the area would never be fitted. Couple at least once."
@@ -181,6 +196,12 @@ class Trainer:
         self._checkpoint = None if checkpoint is None else Path(checkpoint)
         self.on_record = on_record
 
+    @property
+    def total(self) -> int:
+        """Iterations of a whole run, if no fit ends early."""
+        n_batches = math.ceil(self._cases.n_cases / self._config.batch_size)
+        return count_iterations(self._config, n_batches)
+
     def start(self, seed: int) -> TrainingState:
         """First state of a run, or the checkpoint's if there is one.
 
@@ -221,7 +242,7 @@ class Trainer:
         began = time.perf_counter() - state.seconds
         try:
             for unit in units[state.finished :]:
-                record = _Recorder(began, self.on_record)
+                record = Recorder(began, self.on_record)
                 parameters, couplings = state.parameters, state.couplings
                 if unit.work == "flow":
                     parameters = self._fit_flow(state, unit, area, record)
@@ -238,16 +259,32 @@ class Trainer:
                     finished=state.finished + 1,
                     history=(*state.history, *record.iterations),
                 )
-                if unit.work != "flow" or unit.batch == len(state.batches):
+                if unit.work != "flow" or self._ends_epoch(unit, state):
                     self._save(state)
         except KeyboardInterrupt:
             self._save(state)
             raise
         return state
 
+    def _ends_epoch(self, unit: Unit, state: TrainingState) -> bool:
+        return self._config.training == "all_at_once" or unit.batch == len(state.batches)
+
     def _fit_flow(
-        self, state: TrainingState, unit: Unit, area: Array, record: _Recorder
+        self, state: TrainingState, unit: Unit, area: Array, record: Recorder
     ) -> Parameters:
+        if self._config.training == "all_at_once":
+            settings, first = self._config.all_at_once, unit.epoch == 1
+            vector = all_at_once.fit_flow(
+                state.parameters.flow,
+                self._cases,
+                area,
+                self._selection(state, unit),
+                self._engine,
+                self._config,
+                settings.iterations if first else settings.later_iterations,
+                record("flow", unit.epoch, 1),
+            )
+            return state.parameters.replace(flow=vector)
         batch = state.batches[unit.batch - 1]
         fit = self._engine.flow.fit(
             state.parameters.flow,
@@ -261,7 +298,7 @@ class Trainer:
         return state.parameters.replace(flow=fit.parameters)
 
     def _fit_area(
-        self, state: TrainingState, unit: Unit, area: Array, record: _Recorder
+        self, state: TrainingState, unit: Unit, area: Array, record: Recorder
     ) -> Parameters:
         """Both area stages, on the flow that the network gives with the area it knows."""
         cases, config, engine = self._cases, self._config, self._engine
@@ -269,6 +306,11 @@ class Trainer:
         flow = engine.flow.solve(
             parameters.flow, FlowInputs(cases.inflow, area), self._grid, config
         )
+        if config.training == "all_at_once":
+            intermediate, fourier = all_at_once.fit_area(
+                flow, cases, engine, config, lambda stage: record(stage, unit.epoch, 1)
+            )
+            return parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
         vector = parameters.intermediate_area
         for number, batch in enumerate(state.batches, 1):
             vector = engine.intermediate_area.fit(
@@ -299,7 +341,7 @@ class Trainer:
             ).parameters
         return parameters.replace(fourier_area=vector)
 
-    def _fit_pressure(self, state: TrainingState, unit: Unit, record: _Recorder) -> Parameters:
+    def _fit_pressure(self, state: TrainingState, unit: Unit, record: Recorder) -> Parameters:
         cases, config, engine, parameters = (
             self._cases,
             self._config,
@@ -311,6 +353,17 @@ class Trainer:
             parameters.without_pressure(), cases.inflow, cases.area_undeformed, self._grid, config
         )
         inputs = TemporalPressureInputs(solved.flow, solved.area, cases.area_undeformed)
+        linear = config.training == "all_at_once"
+        if unit.work == "temporal_pressure" and linear:
+            vector = all_at_once.fit_temporal_pressure(
+                parameters.temporal_pressure,
+                inputs,
+                target,
+                self._selection(state, unit),
+                config,
+                record(unit.work, unit.epoch, 1),
+            )
+            return parameters.replace(temporal_pressure=vector)
         if unit.work == "temporal_pressure":
             fit = engine.temporal_pressure.fit(
                 parameters.temporal_pressure,
@@ -325,9 +378,20 @@ class Trainer:
         temporal = engine.temporal_pressure.solve(
             parameters.temporal_pressure, inputs, self._grid, config
         )
+        spatial_inputs = SpatialPressureInputs(temporal, solved.flow, cases.area_undeformed)
+        if linear:
+            vector = all_at_once.fit_spatial_pressure(
+                parameters.spatial_pressure,
+                spatial_inputs,
+                target,
+                self._grid,
+                config,
+                record(unit.work, 1, 1),
+            )
+            return parameters.replace(spatial_pressure=vector)
         fit = engine.spatial_pressure.fit(
             parameters.spatial_pressure,
-            SpatialPressureInputs(temporal, solved.flow, cases.area_undeformed),
+            spatial_inputs,
             target,
             self._grid,
             config,
@@ -335,6 +399,10 @@ class Trainer:
             record(unit.work, 1, 1),
         )
         return parameters.replace(spatial_pressure=fit.parameters)
+
+    def _selection(self, state: TrainingState, unit: Unit) -> tuple[Any, ...]:
+        """Training and validation part in the first round, afterwards all cases."""
+        return state.batches if unit.epoch == 1 else (np.arange(len(self._cases)),)
 
     def _coupled_area(self, state: TrainingState) -> Array:
         """Area that the flow network sees, computed again from the couplings so far."""
@@ -410,24 +478,6 @@ class Trainer:
                 self._engine.name,
             )
         return state
-
-
-class _Recorder:
-    """Keeps the iterations of one unit, and passes each on as it comes."""
-
-    def __init__(self, began: float, on_record: OnRecord | None) -> None:
-        self.iterations: list[Iteration] = []
-        self._began = began
-        self._on_record = on_record
-
-    def __call__(self, stage: str, epoch: int, batch: int) -> OnIteration:
-        def on_iteration(number: int, loss: float) -> None:
-            seconds = time.perf_counter() - self._began
-            self.iterations.append(Iteration(stage, epoch, batch, number, loss, seconds))
-            if self._on_record is not None:
-                self._on_record(self.iterations[-1])
-
-        return on_iteration
 
 
 def _stage_vectors(arrays: dict[str, npt.NDArray[Any]], prefix: str) -> Parameters:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import ClassVar
@@ -132,6 +133,11 @@ class ToyStage:
             fall = self._loss(parameters - step, inputs, target, grid, config)
             gradient += (rise - fall) * row
         return self._loss(parameters, inputs, target, grid, config), gradient
+
+    def objective(self, inputs, target, chosen, grid, config):
+        arrays = {f.name: getattr(inputs, f.name)[chosen] for f in dataclasses.fields(inputs)}
+        part = type(inputs)(**arrays)
+        return lambda x: self.loss_and_gradient(x, part, target[chosen], grid, config)
 
     def fit(self, parameters, inputs, target, grid, config, iterations, on_iteration=None):
         self.fits.append((parameters.copy(), inputs, target))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import QUICK, resolve_config
+from pcnde_bridge.config import FAST, QUICK, resolve_config
 from pcnde_bridge.parameters import sizes
 
 GROUPS = [
@@ -33,7 +33,14 @@ CHOICES = [
     ("temporal_pressure", "pressure_drop_input"),
     ("spatial_pressure", "form"),
 ]
-MAY_BE_ZERO = {"stenosis_position", "turbulent_coefficient", "gradient_tolerance"}
+MAY_BE_ZERO = {
+    "stenosis_position",
+    "turbulent_coefficient",
+    "gradient_tolerance",
+    "validation",
+    "weight_decay",
+    "pressure_weight_decay",
+}
 MAY_BE_NEGATIVE = {"stenosis_position"}
 
 
@@ -207,7 +214,9 @@ def test_json_beyond_floats_is_refused():
 
 
 def test_presets():
-    assert dict(PRESETS) == {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK}
+    names = {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK, "fast": FAST}
+    assert {name: PRESETS[name] for name in names} == names
+    assert resolve_config("fast") is FAST
     assert resolve_config("quick") is QUICK
     assert resolve_config("paper") is PAPER
     assert resolve_config("published-code") is PUBLISHED_CODE

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,11 @@ import numpy.typing as npt
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.parameters import Parameters
 
+if TYPE_CHECKING:
+    from pcnde_bridge.engines.closures import Closures
+
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,9 @@ class Solution(NamedTuple):
 OnIteration = Callable[[int, float], None]
 """Called with the iteration's number, from 1, and its loss; it may raise to stop."""
 
+Objective = Callable[[Array], tuple[float, Array]]
+"""Loss and gradient at a parameter vector; the loss is infinite where the equation diverges."""
+
 InputsT = TypeVar("InputsT", contravariant=True)
 
 
@@ -198,6 +205,15 @@ class Stage(Protocol[InputsT]):
         """
         ...
 
+    def objective(
+        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+    ) -> Objective:
+        """:meth:`loss_and_gradient` of the chosen cases, made ready for many evaluations.
+
+        ``chosen`` (case,) is true for the cases that count.
+        """
+        ...
+
     def fit(
         self,
         parameters: Array,
@@ -227,6 +243,8 @@ class Engine(Protocol):
         ``"julia"`` or ``"jax"``.
     versions : mapping of str to str
         What computes: packages and their versions.
+    closures : Closures
+        What the ``physics`` preset needs.
     flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
         The five stages.
     """
@@ -261,6 +279,17 @@ class Engine(Protocol):
     @property
     def spatial_pressure(self) -> Stage[SpatialPressureInputs]:
         """Pressure drop along the vessel."""
+        ...
+
+    @property
+    def closures(self) -> Closures:
+        """What the ``physics`` preset needs.
+
+        Raises
+        ------
+        EngineUnavailableError
+            If the engine does not compute it.
+        """
         ...
 
     def predict(

@@ -20,6 +20,7 @@ from pcnde_bridge.engines.base import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.engines.jax import area, flow, inference, pressure
+from pcnde_bridge.engines.jax.closures import JaxClosures
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.precision import double_precision
@@ -78,11 +79,12 @@ class JaxEngine:
     name = "jax"
 
     def __init__(self) -> None:
+        self.closures = JaxClosures()
         self.flow: JaxStage[FlowInputs] = JaxStage(
             _flow,
             ("flow",),
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
-            each_on_its_own=True,
+            each_on_its_own=lambda config: config.flow.steps is None,
         )
         self.intermediate_area: JaxStage[IntermediateAreaInputs] = JaxStage(
             _intermediate_area, ("intermediate_area",), compared=area.last_cycle

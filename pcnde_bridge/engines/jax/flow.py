@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.jax.equal_steps import integrate
 from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
 from pcnde_bridge.engines.jax.step_control import PIController
 from pcnde_bridge.parameters import layer_sizes
@@ -87,10 +88,12 @@ def solve(
     -------
     flow : array of shape (case, time, z)
         Q, mL/s.
-    solved : array of shape ()
+    solved : array of shape () or, with equal steps, (case,)
         Whether the integration came to its end.
     """
     network = take_apart(parameters, inflow.shape[1], config)
+    if config.flow.steps is not None:
+        return _solve_in_equal_steps(network, inflow, area, z, config)
     from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
     hidden, solved = solve_hidden(network, inflow, from_area, weight, z, config)
     flow = (
@@ -126,9 +129,12 @@ def solve_hidden(
     -------
     hidden : array of shape (case, z, hidden)
         H at the points.
-    solved : array of shape ()
+    solved : array of shape () or, with equal steps, (case,)
         Whether the integration came to its end.
     """
+    if config.flow.steps is not None:
+        state = _in_equal_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
+        return jnp.moveaxis(state, 0, 2), _all_finite(state)
     stage, n_points = config.flow, z.shape[0]
     activation = ACTIVATIONS[stage.activation]
     last, last_bias = network.last, network.last_bias
@@ -171,3 +177,47 @@ def solve_hidden(
     hidden = jnp.moveaxis(solution.ys, 0, 1)
     solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(hidden))
     return hidden, solved
+
+
+def _solve_in_equal_steps(
+    network: FlowNetwork, inflow: jax.Array, area: jax.Array, z: jax.Array, config: PCNDEConfig
+) -> tuple[jax.Array, jax.Array]:
+    """See :func:`solve`; each product is made case by case, as the arrays lie in memory."""
+    n_cases = inflow.shape[0]
+
+    def for_each_case(matrix: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(matrix, (n_cases, *matrix.shape))
+
+    from_area = for_each_case(network.from_area.T) @ area
+    hidden = _in_equal_steps(network, inflow, jnp.moveaxis(from_area, 1, 0), z, config)
+    flow = (
+        inflow[:, :, None]
+        + network.last_bias[:, None] * (z - z[0])
+        + for_each_case(network.last.T) @ jnp.moveaxis(hidden, 0, 1)
+    )
+    return flow, _all_finite(hidden)
+
+
+def _all_finite(hidden: jax.Array) -> jax.Array:
+    """Whether H (hidden, case, z) is finite, case by case."""
+    return jnp.all(jnp.isfinite(hidden), axis=(0, 2))
+
+
+def _in_equal_steps(
+    network: FlowNetwork, inflow: jax.Array, from_area: jax.Array, z: jax.Array, config: PCNDEConfig
+) -> jax.Array:
+    """H at the points from the area's part of the first layer; both (hidden, case, z)."""
+    activation = ACTIVATIONS[config.flow.activation]
+    of_case = (network.first_bias + inflow @ network.from_flow).T
+    along_bias = network.last_bias @ network.from_flow
+    along_hidden = (network.last @ network.from_flow).T
+    middle = [(matrix.T, bias[:, None]) for matrix, bias in network.middle]
+
+    def rate(drive: jax.Array, state: jax.Array) -> jax.Array:
+        values = activation(drive + along_hidden @ state)
+        for matrix, bias in middle:
+            values = activation(matrix @ values + bias)
+        return values
+
+    drive = from_area + of_case[:, :, None] + along_bias[:, None, None] * (z - z[0])
+    return integrate(rate, drive, z, config.flow.steps or 0)

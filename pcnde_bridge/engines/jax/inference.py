@@ -90,7 +90,11 @@ def predict(
     def couple(_: int, before: _Pass) -> _Pass:
         from_area = before.steady[:, :, None] * area_to_layer
         from_area = from_area + jnp.einsum("nkz,kh->nzh", before.wave, wave_to_layer)
-        hidden, solved = one_pass(inflow, from_area)
+        if config.flow.steps is None:
+            hidden, solved = one_pass(inflow, from_area)
+        else:  # no step control, through which the cases would influence each other
+            alike = jnp.ones(n_cases)
+            hidden, solved = solve_hidden(network, inflow, from_area, alike, z, config)
         in_space = jnp.concatenate([distance, jnp.moveaxis(hidden, 2, 1)], axis=1)
         slope = flow_slope(in_space, z)
         anchor = (

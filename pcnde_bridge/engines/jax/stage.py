@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Grid, OnIteration
+from pcnde_bridge.engines.base import Fit, Grid, Mask, Objective, OnIteration
 from pcnde_bridge.engines.jax.bfgs import minimise
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.precision import double_precision
@@ -36,7 +36,7 @@ class Model(Protocol):
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the prediction (case, time, z) and whether it could be computed.
+        """Return the prediction (case, time, z) and whether it, or each case, could be computed.
 
         ``weight`` (case,) is 0 for cases that only fill a batch.
         """
@@ -61,9 +61,9 @@ class JaxStage(Generic[InputsT]):
         ``(prediction, n_times) -> array``.
     loss_scale : callable
         ``(config, count) -> divisor`` of the sum of squares.
-    each_on_its_own : bool
-        Whether :meth:`solve` must map the model over single cases, because its
-        cases influence each other through the step control.
+    each_on_its_own : callable
+        Whether :meth:`solve` must map the model over single cases with a configuration,
+        because its cases influence each other through the step control.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class JaxStage(Generic[InputsT]):
         *,
         compared: Callable[[jax.Array, int], jax.Array] = lambda prediction, _: prediction,
         loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
-        each_on_its_own: bool = False,
+        each_on_its_own: Callable[[PCNDEConfig], bool] = lambda _: False,
     ) -> None:
         self._model = model
         self._depends_on = depends_on
@@ -107,6 +107,23 @@ class JaxStage(Generic[InputsT]):
                 jnp.asarray(parameters), *data, config=self._relevant(config)
             )
             return float(loss), np.array(gradient)
+
+    def objective(
+        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+    ) -> Objective:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        # The others have weight 0, so that every choice is compiled once.
+        with double_precision():
+            arrays = tuple(jnp.asarray(a) for a in _arrays(inputs))
+            weight, settings = jnp.asarray(chosen, dtype=float), self._relevant(config)
+            data = arrays, weight, jnp.asarray(target), _on_device(grid)
+
+        def evaluate(parameters: Array) -> tuple[float, Array]:
+            with double_precision():
+                loss, gradient = self._value_and_gradient(parameters, *data, config=settings)
+                return float(loss), np.array(gradient)
+
+        return evaluate
 
     def fit(
         self,
@@ -144,7 +161,7 @@ class JaxStage(Generic[InputsT]):
         config: PCNDEConfig,
     ) -> tuple[jax.Array, jax.Array]:
         count = inputs[0].shape[0]
-        if not self._each_on_its_own:
+        if not self._each_on_its_own(config):
             predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
             return predicted, jnp.broadcast_to(solved, (count,))
 
@@ -168,7 +185,7 @@ class JaxStage(Generic[InputsT]):
         error = self._compared(predicted, target.shape[1]) - target
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
-        return jnp.where(solved, total / self._loss_scale(config, count), jnp.inf)
+        return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
 
 
 def in_batches(

@@ -1,0 +1,502 @@
+"""Preset ``fast``: every stage fitted on all cases at once, exactly where it is linear.
+
+The equations, the parameters and their layout are the paper's, so that the result is a
+model like any other.  Only the way to the minimum differs:
+
+- the flow network by L-BFGS without restarts, in whitened weights;
+- (â, b̂) and (a, b) by least squares, point by point;
+- the pressure network's last layer by least squares inside the L-BFGS fit of the
+  layers before it (variable projection, Golub and Pereyra 1973);
+- a₁, a₂ and b₁(t) by least squares inside that of b₂(t).
+
+Everything but the flow is small enough for numpy, so both engines share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import AllAtOnce, PCNDEConfig, Physics
+from pcnde_bridge.engines.base import (
+    Engine,
+    FlowInputs,
+    FourierAreaInputs,
+    Grid,
+    IntermediateAreaInputs,
+    OnIteration,
+    SpatialPressureInputs,
+    Stage,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.inference import initial_area
+from pcnde_bridge.lbfgs import Whitening, minimise
+from pcnde_bridge.least_squares import solve_normal, solve_per_point
+from pcnde_bridge.parameters import layer_sizes
+from pcnde_bridge.stenosis import pressure_drop
+
+Array = npt.NDArray[np.float64]
+Positions = npt.NDArray[np.int64]
+
+_FEWEST = 8  # cases, below which none is spared for validation
+_SAMPLES = 4000  # about so many of the flow network's inputs give their spread
+_RIDGE = 1e-9  # on the pressure network's last layer, p_ref²
+
+
+def parts(cases: Cases, settings: AllAtOnce, seed: int) -> tuple[Positions, ...]:
+    """Positions of the training part and, unless it is left out, of the validation part.
+
+    Whole waveforms and whole geometries, in turns and drawn at random, go into the
+    validation part until it has its share of the cases.  Labels with a single value
+    are not drawn from; where no label groups the cases, single cases are drawn.
+
+    Parameters
+    ----------
+    cases : Cases
+        All training cases.
+    settings : AllAtOnce
+        Gives the share.
+    seed : int
+        Of the draw.
+    """
+    rng, count = np.random.default_rng(seed), len(cases)
+    everything = np.arange(count)
+    wanted = round(settings.validation * count)
+    if count < _FEWEST or wanted == 0:
+        return (everything,)
+    held = np.zeros(count, dtype=bool)
+    groups = [cases.labels[name].to_numpy() for name in ("waveform", "geometry")]
+    queues = [list(rng.permutation(np.unique(g))) for g in groups if 1 < len(np.unique(g)) < count]
+    columns = [g for g in groups if 1 < len(np.unique(g)) < count]
+    while held.sum() < wanted and any(queues):
+        for column, queue in zip(columns, queues, strict=True):
+            # A group that would take half of the cases is too large to be spared.
+            if queue and held.sum() < wanted:
+                larger = held | (column == queue.pop())
+                held = larger if larger.sum() <= count // 2 else held
+    if not held.any():
+        held[rng.permutation(count)[:wanted]] = True
+    return everything[~held], everything[held]
+
+
+def fit_flow(
+    vector: Array,
+    cases: Cases,
+    area: Array,
+    selection: tuple[Positions, ...],
+    engine: Engine,
+    config: PCNDEConfig,
+    iterations: int,
+    on_iteration: OnIteration | None = None,
+) -> Array:
+    """Fit the flow network.
+
+    Parameters
+    ----------
+    vector : array of shape (size,)
+        Its parameters before.
+    cases : Cases
+        All training cases.
+    area : array of shape (case, time, z)
+        S that the network sees, cm².
+    selection : tuple of arrays of int
+        Cases to fit, and, if given, cases whose error ends the fit.
+    engine, config
+        Who computes the flow, and the settings.
+    iterations : int
+        At most so many.
+    on_iteration : callable, optional
+        Called with the number and loss of each iteration.
+
+    Returns
+    -------
+    array of shape (size,)
+        Its parameters.
+    """
+    settings, grid = config.all_at_once, Grid(cases.time, cases.z, cases.period)
+    fitted = selection[0]
+    seen = np.concatenate(
+        [np.broadcast_to(cases.inflow[:, :, None], area.shape)[fitted], area[fitted]], axis=1
+    )
+    samples = np.moveaxis(seen, 1, 2).reshape(-1, 2 * cases.n_times)
+    whitening = Whitening(
+        samples[:: max(1, len(samples) // _SAMPLES)], config.flow.hidden[0], settings.whitening
+    )
+    chosen = np.isin(np.arange(len(cases)), fitted)
+    inputs = FlowInputs(cases.inflow, area)
+    evaluate = engine.flow.objective(inputs, cases.flow, chosen, grid, config)
+
+    def objective(coordinates: Array) -> tuple[float, Array]:
+        loss, gradient = evaluate(whitening.parameters(coordinates))
+        return loss, whitening.gradient(gradient)
+
+    def validation_error(coordinates: Array) -> float:
+        flow = engine.flow.solve(whitening.parameters(coordinates), inputs, grid, config)
+        held = selection[1]
+        return float(np.mean((flow[held] - cases.flow[held]) ** 2))
+
+    unit = float(np.mean(cases.flow[fitted] ** 2))
+    if config.flow.loss == "sum":
+        unit *= cases.flow[fitted].size
+    return whitening.parameters(
+        minimise(
+            objective,
+            whitening.coordinates(vector),
+            settings,
+            iterations,
+            unit,
+            validation_error if len(selection) > 1 else None,
+            on_iteration,
+        )
+    )
+
+
+def fit_intermediate_area(
+    inputs: IntermediateAreaInputs, target: Array, engine: Engine, grid: Grid, config: PCNDEConfig
+) -> tuple[Array, float]:
+    """Return â, b̂ and the least loss on the last cycle; the arguments are a stage's."""
+    return _fit_area(engine.intermediate_area, inputs, target, grid, config)
+
+
+def fit_fourier_area(
+    inputs: FourierAreaInputs, target: Array, engine: Engine, grid: Grid, config: PCNDEConfig
+) -> tuple[Array, float]:
+    """Return a, b and the least loss; the arguments are a stage's."""
+    return _fit_area(engine.fourier_area, inputs, target, grid, config)
+
+
+def _fit_area(
+    stage: Stage[Any], inputs: Any, target: Array, grid: Grid, config: PCNDEConfig
+) -> tuple[Array, float]:
+    """S = known + a(z)·f + b(z)·g, with known, f and g from the stage itself."""
+    n_times, n_points = target.shape[1:]
+
+    def solve(a: float, b: float) -> Array:
+        vector = np.repeat([a, b], n_points)
+        return stage.solve(vector, inputs, grid, config)[:, -n_times:]
+
+    known = solve(0.0, 0.0)
+    columns = [solve(1.0, 0.0) - known, solve(0.0, 1.0) - known]
+    unknowns, loss = solve_per_point(columns, target - known)
+    return unknowns.ravel(), loss
+
+
+def fit_area(
+    flow: Array,
+    cases: Cases,
+    engine: Engine,
+    config: PCNDEConfig,
+    record: Callable[[str], OnIteration],
+) -> tuple[Array, Array]:
+    """Both area stages on a flow (case, time, z): (â, b̂) and (a, b)."""
+    grid = Grid(cases.time, cases.z, cases.period)
+    first = IntermediateAreaInputs(flow, cases.area_undeformed)
+    intermediate, loss = fit_intermediate_area(first, cases.area, engine, grid, config)
+    record("intermediate_area")(1, loss)
+    start = engine.intermediate_area.solve(intermediate, first, grid, config)
+    second = FourierAreaInputs(flow, initial_area(start, cases.n_times, config))
+    fourier, loss = fit_fourier_area(second, cases.area, engine, grid, config)
+    record("fourier_area")(1, loss)
+    return intermediate, fourier
+
+
+# Value and derivative, both from the argument x.
+_ROOT = np.sqrt(2 / np.pi)
+
+
+def _sigmoid(x: Array) -> Array:
+    result: Array = 0.5 * (1 + np.tanh(x / 2))
+    return result
+
+
+def _tanh(x: Array) -> tuple[Array, Array]:
+    value = np.tanh(x)
+    return value, 1 - value**2
+
+
+def _gelu(x: Array) -> tuple[Array, Array]:
+    half = np.tanh(_ROOT * (x + 0.044715 * x**3))
+    slope = _ROOT * (1 + 3 * 0.044715 * x**2)
+    return x * (1 + half) / 2, (1 + half) / 2 + x * (1 - half**2) * slope / 2
+
+
+def _relu(x: Array) -> tuple[Array, Array]:
+    return np.maximum(x, 0.0), (x > 0).astype(np.float64)
+
+
+def _logistic(x: Array) -> tuple[Array, Array]:
+    value = _sigmoid(x)
+    return value, value * (1 - value)
+
+
+def _swish(x: Array) -> tuple[Array, Array]:
+    share = _sigmoid(x)
+    return x * share, share + x * share * (1 - share)
+
+
+_ACTIVATIONS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
+    "tanh": _tanh,
+    "gelu": _gelu,
+    "relu": _relu,
+    "sigmoid": _logistic,
+    "swish": _swish,
+}
+
+
+def fit_temporal_pressure(
+    vector: Array,
+    inputs: TemporalPressureInputs,
+    target: Array,
+    selection: tuple[Positions, ...],
+    config: PCNDEConfig,
+    on_iteration: OnIteration | None = None,
+) -> Array:
+    """Fit the pressure network, its last layer by least squares.
+
+    With the last hidden layer h and the scale s = E·h_w/(r₀·p_ref) of a case,
+    p̂* − 1 = s·(W·h + c).  For given hidden layers W and c are the minimum of the loss,
+    so its gradient by the hidden layers is the one with W and c held fixed.
+
+    Parameters
+    ----------
+    vector : array of shape (size,)
+        The network's parameters before.
+    inputs : TemporalPressureInputs
+        Of all training cases.
+    target : array of shape (case, time, z)
+        p/p_ref.
+    selection : tuple of arrays of int
+        Cases to fit, and, if given, cases whose error ends the fit.
+    config : PCNDEConfig
+        Settings.
+    on_iteration : callable, optional
+        Called with the number and loss of each iteration.
+
+    Returns
+    -------
+    array of shape (size,)
+        The network's parameters.
+    """
+    stage, settings = config.temporal_pressure, config.all_at_once
+    activation = _ACTIVATIONS[stage.activation]
+    n_points = target.shape[2]
+    widths = layer_sizes("temporal_pressure", config, 0, n_points)
+    last = (widths[-2] + 1) * n_points  # numbers in the last layer
+    scale = _stiffness(inputs.area_undeformed, config.physics)
+    seen = _network_inputs(inputs, config)
+
+    def part(positions: Positions) -> tuple[Array, Array, Array]:
+        u = seen[positions].reshape(-1, seen.shape[2])
+        s = np.repeat(scale[positions], target.shape[1])[:, None]
+        return u, s, (target[positions] - 1).reshape(-1, n_points)
+
+    u, s, y = part(selection[0])
+    whitening = Whitening(u, widths[1], settings.whitening)
+    xi = whitening.inputs(u)
+    layers = list(zip((xi.shape[1], *widths[1:-2]), widths[1:-1], strict=True))
+
+    def hidden(coordinates: Array, xi: Array) -> tuple[list[Array], list[Array], list[Array]]:
+        """Values after each layer, the derivatives there, and the layers' matrices."""
+        values, slopes, matrices, at = [xi], [], [], 0
+        for n_in, n_out in layers:
+            matrix = coordinates[at : at + n_in * n_out].reshape(n_in, n_out)
+            at += n_in * n_out
+            value, slope = activation(values[-1] @ matrix + coordinates[at : at + n_out])
+            at += n_out
+            values.append(value)
+            slopes.append(slope)
+            matrices.append(matrix)
+        return values, slopes, matrices
+
+    size, square = y.size, float(np.sum(y**2))
+    y_scaled = s * y
+
+    def last_layer(values: Array) -> tuple[Array, float]:
+        """W and c as one matrix (hidden + 1, z), and the least loss."""
+        design = np.column_stack([values, np.ones(len(values))])
+        normal = (s**2 * design).T @ design
+        normal += np.diag([_RIDGE * size] * values.shape[1] + [0.0])
+        right = np.einsum("nk,nz->kz", design, y_scaled)  # too thin for threads to gain
+        layer = solve_normal(normal, right.T).T
+        return layer, (square + float(np.sum(layer * (normal @ layer - 2 * right)))) / size
+
+    def objective(coordinates: Array) -> tuple[float, Array]:
+        values, slopes, matrices = hidden(coordinates, xi)
+        layer, loss = last_layer(values[-1])
+        weights, bias = layer[:-1], layer[-1]
+        # s·(s·(W·h + c) − y)·Wᵀ without the residual at every point.
+        fit = values[-1] @ (weights @ weights.T) + bias @ weights.T
+        back = (2 / size) * (s**2 * fit - np.einsum("nz,kz->nk", y_scaled, weights))
+        gradient: list[Array] = []
+        for value, slope, matrix in zip(
+            reversed(values[:-1]), reversed(slopes), reversed(matrices), strict=True
+        ):
+            back = back * slope
+            gradient = [(value.T @ back).ravel(), back.sum(axis=0), *gradient]
+            back = back @ matrix.T
+        return loss, np.concatenate(gradient)
+
+    if len(selection) > 1:
+        held_u, held_s, held_y = part(selection[1])
+        held_xi = whitening.inputs(held_u)
+
+    def validation_error(coordinates: Array) -> float:
+        layer, _ = last_layer(hidden(coordinates, xi)[0][-1])
+        values = hidden(coordinates, held_xi)[0][-1]
+        return float(np.mean((held_s * (values @ layer[:-1] + layer[-1]) - held_y) ** 2))
+
+    fitted = minimise(
+        objective,
+        whitening.coordinates(vector[:-last]),
+        settings.replace(weight_decay=settings.pressure_weight_decay),
+        settings.pressure_iterations,
+        float(np.mean(target**2)),
+        validation_error if len(selection) > 1 else None,
+        on_iteration,
+    )
+    layer, _ = last_layer(hidden(fitted, xi)[0][-1])
+    return np.concatenate([whitening.parameters(fitted), layer.ravel()])
+
+
+def _stiffness(area_undeformed: Array, physics: Physics) -> Array:
+    """E·h/(r₀·p_ref) of every case."""
+    radius = np.sqrt(area_undeformed[:, 0] / np.pi)
+    result: Array = physics.young_modulus * physics.wall_thickness / radius
+    return result / physics.reference_pressure
+
+
+def _drop(flow: Array, area_undeformed: Array, coefficient: float, physics: Physics) -> Array:
+    """Δp of Seeley and Young, dyn/cm², from flow (case, time, …)."""
+    shape = (-1,) + (1,) * (flow.ndim - 1)
+    drop: Array = pressure_drop(
+        flow,
+        area_undeformed[:, 0].reshape(shape),
+        area_undeformed.min(axis=1).reshape(shape),
+        physics.stenosis_length,
+        density=physics.density,
+        viscosity=physics.viscosity,
+        turbulent_coefficient=coefficient,
+    )
+    return drop
+
+
+def _network_inputs(inputs: TemporalPressureInputs, config: PCNDEConfig) -> Array:
+    """S, S − S_u, Δp and Q at all points, (case, time, 4·z)."""
+    physics = config.physics
+    drop = _drop(inputs.flow, inputs.area_undeformed, physics.turbulent_coefficient, physics)
+    if config.temporal_pressure.pressure_drop_input == "normalised":
+        drop = drop / physics.reference_pressure
+    change = inputs.area - inputs.area_undeformed[:, None]
+    return np.concatenate([inputs.area, change, drop, inputs.flow], axis=2)
+
+
+def fit_spatial_pressure(
+    vector: Array,
+    inputs: SpatialPressureInputs,
+    target: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+    on_iteration: OnIteration | None = None,
+) -> Array:
+    """Fit a₁, a₂, b₁(t) and b₂(t), all but the last by least squares.
+
+    With σ(t, z) the step that b₂ shapes, p* = p̂* + a₁ − (Δp₀ + a₂·Δp₁ + b₁)·σ.
+
+    Parameters
+    ----------
+    vector : array of shape (2 + 2·time,)
+        a₁, a₂, b₁, b₂ before.
+    inputs : SpatialPressureInputs
+        Of the cases to fit.
+    target : array of shape (case, time, z)
+        p/p_ref.
+    grid, config
+        Points, and settings.
+    on_iteration : callable, optional
+        Called with the number and loss of each iteration.
+
+    Returns
+    -------
+    array of shape (2 + 2·time,)
+        a₁, a₂, b₁, b₂.
+    """
+    physics, settings, z = config.physics, config.all_at_once, grid.z
+    n_cases, n_times, _ = target.shape
+    position = physics.stenosis_position
+    at_stenosis = np.array(
+        [[np.interp(position, z, instant) for instant in case] for case in inputs.flow]
+    )
+    coefficient = physics.turbulent_coefficient
+    drop = _drop(at_stenosis, inputs.area_undeformed, coefficient, physics)
+    more = _drop(at_stenosis, inputs.area_undeformed, coefficient + 1, physics) - drop
+    drop, more = drop / physics.reference_pressure, more / physics.reference_pressure
+    wanted = target - inputs.temporal.mean(axis=2, keepdims=True)
+    start, third = z[0], (z[-1] - z[0]) / 3
+    inside = 10 * (np.clip(z, start + third, start + 2 * third) - position)
+    if config.spatial_pressure.form == "printed":
+        height = np.where(z <= start + third, 0.0, 1.0)
+    else:
+        height = np.full(z.size, 0.5)
+
+    # Sums over the cases are enough: the step does not know them.
+    sums = {
+        "wanted": wanted.sum(axis=0),
+        "more·wanted": np.einsum("nt,ntz->tz", more, wanted),
+        "drop·wanted": np.einsum("nt,ntz->tz", drop, wanted),
+        "wanted²": float(np.sum(wanted**2)),
+    }
+    one, by_more, by_drop = float(n_cases), more.sum(axis=0), drop.sum(axis=0)
+    more_more, more_drop = (more * more).sum(axis=0), (more * drop).sum(axis=0)
+    drop_drop = (drop * drop).sum(axis=0)
+
+    def linear(step: Array) -> tuple[Array, float]:
+        """Return the best (a₁, a₂, b₁) for a step (time, z), and their sum of squares."""
+        total, square = step.sum(axis=1), (step**2).sum(axis=1)
+        size = 2 + n_times
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        normal[0, 0] = one * n_times * z.size
+        normal[0, 1] = normal[1, 0] = -np.sum(by_more * total)
+        normal[1, 1] = np.sum(more_more * square)
+        normal[0, 2:] = normal[2:, 0] = -one * total
+        normal[1, 2:] = normal[2:, 1] = by_more * square
+        normal[range(2, size), range(2, size)] = one * square
+        right[0] = sums["wanted"].sum() + np.sum(by_drop * total)
+        right[1] = -np.sum(sums["more·wanted"] * step) - np.sum(more_drop * square)
+        right[2:] = -np.sum(sums["wanted"] * step, axis=1) - by_drop * square
+        known = (
+            sums["wanted²"] + 2 * np.sum(sums["drop·wanted"] * step) + np.sum(drop_drop * square)
+        )
+        unknowns = solve_normal(normal, right)
+        return unknowns, float(known - 2 * right @ unknowns + unknowns @ normal @ unknowns)
+
+    def objective(b2: Array) -> tuple[float, Array]:
+        tanh = np.tanh(b2[:, None] * inside)
+        step, slope = height * tanh, height * inside * (1 - tanh**2)
+        unknowns, squares = linear(step)
+        a1, a2, b1 = unknowns[0], unknowns[1], unknowns[2:]
+        # e = wanted − a₁ + (Δp₀ + a₂Δp₁ + b₁)σ, and Σ_n e·(Δp₀ + a₂Δp₁ + b₁):
+        amount = by_drop + a2 * by_more + one * b1
+        amount_squared = (
+            drop_drop
+            + a2**2 * more_more
+            + one * b1**2
+            + 2 * (a2 * more_drop + b1 * by_drop + a2 * b1 * by_more)
+        )
+        product = sums["drop·wanted"] + a2 * sums["more·wanted"] + b1[:, None] * sums["wanted"]
+        product = product - a1 * amount[:, None] + amount_squared[:, None] * step
+        return squares / target.size, 2 * np.sum(product * slope, axis=1) / target.size
+
+    b2 = minimise(
+        objective,
+        vector[2 + n_times :],
+        settings.replace(weight_decay=0.0),
+        settings.pressure_iterations,
+        float(np.mean(target**2)),
+        on_iteration=on_iteration,
+    )
+    unknowns, _ = linear(height * np.tanh(b2[:, None] * inside))
+    return np.concatenate([unknowns, b2])

@@ -1,0 +1,306 @@
+"""The closures of the ``physics`` preset in JAX: wall, losses, correction, and all coupled."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.closures.parameters import ClosureParameters
+from pcnde_bridge.config import ClosureConfig, CorrectionClosure, WallClosure
+from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.closures import Problem
+from pcnde_bridge.engines.jax.closures import losses
+from pcnde_bridge.engines.jax.closures.coupling import (
+    Coupled,
+    VesselModes,
+    couple,
+    fields,
+    vessel_modes,
+)
+from pcnde_bridge.engines.jax.closures.losses import N_SQUARES
+from pcnde_bridge.engines.jax.closures.wall import displacement
+from pcnde_bridge.errors import SolveError
+from pcnde_bridge.precision import double_precision
+
+__all__ = ["JaxClosures"]
+
+Array = npt.NDArray[np.float64]
+
+_BATCH = 32
+"""Cases computed together: their fields stay in the processor's cache."""
+
+_BLOCK = 4096
+"""Cases whose vessels are kept at a time."""
+
+_CONVERGED = 1e-4
+"""Largest change of the last coupling pass, relative to the largest inflow."""
+
+
+class JaxClosures:
+    """See :class:`pcnde_bridge.engines.closures.Closures`."""
+
+    def __init__(self) -> None:
+        # The vessels of the last batch, with what they were computed from.
+        self._vessels: tuple[tuple[Array, ...], VesselModes] | None = None
+
+    def losses(
+        self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
+    ) -> Problem:
+        """See the protocol."""
+        return _problem(_losses, (flow, area_undeformed), (grid.z, grid.period), config)
+
+    def area(
+        self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
+    ) -> Problem:
+        """See the protocol."""
+        return _problem(_area, (pressure, area_undeformed), (grid.z,), config)
+
+    def flow(
+        self,
+        others: ClosureParameters,
+        inflow: Array,
+        area_undeformed: Array,
+        points: npt.NDArray[np.int64],
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Problem:
+        """See the protocol."""
+        with double_precision():
+            vessels = _vessels(
+                others.wall, others.losses, area_undeformed, grid.z, config=_relevant(config)
+            )
+        fixed = others.outlet, others.wall, points, grid.period
+        return _problem(_flow, (vessels, inflow), fixed, config)
+
+    def predict(
+        self,
+        parameters: ClosureParameters,
+        shift: Array,
+        inflow: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Solution:
+        """See the protocol."""
+        settings, count = _relevant(config), len(inflow)
+        shape = count, inflow.shape[1], grid.z.size
+        result = Solution(np.empty(shape), np.empty(shape), np.empty(shape))
+        cases = shift, inflow
+        for start in range(0, count, _BLOCK):
+            block = slice(start, min(start + _BLOCK, count))
+            vessels, which = self._vessels_of(parameters, area_undeformed[block], grid, settings)
+
+            def compute(
+                first: int,
+                vessels: VesselModes = vessels,
+                which: npt.NDArray[np.int64] = which,
+                block: slice = block,
+            ) -> None:
+                rows = slice(first, min(first + _BATCH, block.stop))
+                chosen = which[rows.start - block.start : rows.stop - block.start]
+                mine = tuple(a[rows] for a in cases)
+                _predict_batch(parameters, vessels, chosen, mine, rows, grid, settings, result)
+
+            batches = range(block.start, block.stop, _BATCH)
+            if len(batches) == 1:
+                compute(block.start)
+                continue
+            with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+                # Asking for the results raises what a batch raised.
+                list(pool.map(compute, batches))
+        return result
+
+    def _vessels_of(
+        self,
+        parameters: ClosureParameters,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> tuple[VesselModes, npt.NDArray[np.int64]]:
+        """Integrate along each different vessel; return the modes and each case's vessel.
+
+        Many waveforms usually share few vessels, and one call's are often the next one's.
+        """
+        place: dict[bytes, int] = {}
+        which = np.array([place.setdefault(s.tobytes(), len(place)) for s in area_undeformed])
+        _, first = np.unique(which, return_index=True)
+        different = np.ascontiguousarray(area_undeformed[first])
+        key = (different, grid.z, parameters.wall, parameters.losses)
+        known = self._vessels
+        if known is not None and all(map(np.array_equal, known[0], key)):
+            return known[1], which
+        parts = []
+        with double_precision():
+            for start in range(0, len(different), _BATCH):
+                (s_u,) = _filled_up((different[start : start + _BATCH],))
+                modes = _vessels(parameters.wall, parameters.losses, s_u, grid.z, config=config)
+                parts.append(jax.tree.map(np.asarray, modes))
+        vessels: VesselModes = jax.tree.map(lambda *a: np.concatenate(a), *parts)
+        self._vessels = key, vessels
+        return vessels, which
+
+
+def _predict_batch(
+    parameters: ClosureParameters,
+    vessels: VesselModes,
+    which: npt.NDArray[np.int64],
+    cases: tuple[Array, ...],
+    rows: slice,
+    grid: Grid,
+    config: ClosureConfig,
+    result: Solution,
+) -> None:
+    """Predict few cases, and write them into their rows of the result."""
+    size = len(which)
+    which, *filled = _filled_up((which, *cases))
+    own = jax.tree.map(lambda a: a[which], vessels)
+    vectors = parameters.outlet, parameters.wall, parameters.correction
+    with double_precision():
+        coupled, solved = _couple(vectors, own, *filled, grid.period, config=config)
+        failed = np.flatnonzero(~np.asarray(solved)[:size])
+        if failed.size:
+            raise SolveError(
+                f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
+                f"{config.correction.passes} coupling passes. Check the units of inflow and area "
+                "(mL/s, cm²); a stiffer wave or a longer vessel needs more passes "
+                "(correction.passes)."
+            )
+        reverses = bool(np.asarray(coupled.modes)[:size, -N_SQUARES:].any())
+        parts = _fields(parameters.wall, coupled, own, filled[1], reverses=reverses)
+        for whole, part in zip(result, parts, strict=True):
+            assert whole is not None
+            whole[rows] = np.asarray(part)[:size]
+
+
+def _filled_up(arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:
+    """Repeat the last case up to one of two sizes, so that little is compiled."""
+    count = len(arrays[0])
+    size = 1 if count == 1 else _BATCH
+    return tuple(np.concatenate([a, np.repeat(a[-1:], size - count, axis=0)]) for a in arrays)
+
+
+@cache
+def _relevant(config: ClosureConfig) -> ClosureConfig:
+    """Keep the settings that the equations need: a change of others compiles nothing again."""
+    correction = config.correction
+    return ClosureConfig(
+        physics=config.physics,
+        wall=WallClosure(law=config.wall.law),
+        correction=CorrectionClosure(hidden=correction.hidden, passes=correction.passes),
+    )
+
+
+def _losses(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
+    z, period = fixed
+
+    def one(flow: jax.Array, s: jax.Array) -> jax.Array:
+        return losses.drop(parameters, flow, s, z, period, config.physics)
+
+    return jax.vmap(one)(*cases)
+
+
+def _area(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
+    (z,) = fixed
+
+    def one(pressure: jax.Array, s: jax.Array) -> jax.Array:
+        moved = displacement(parameters, pressure - parameters[-1], s, z, config.wall.law)
+        return jnp.pi * (jnp.sqrt(s / jnp.pi) + moved) ** 2
+
+    return jax.vmap(one)(*cases)
+
+
+def _flow(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
+    outlet, wall, points, period = fixed
+
+    def one(vessel: VesselModes, inflow: jax.Array) -> jax.Array:
+        vectors = outlet, wall, parameters
+        coupled = couple(*vectors, jnp.zeros(()), vessel, inflow, period, config.correction)
+        return inflow[:, None] + coupled.storage.T @ coupled.volume[:, points]
+
+    return jax.vmap(one)(*cases)
+
+
+@partial(jax.jit, static_argnames="config")
+def _vessels(
+    wall: jax.Array,
+    loss: jax.Array,
+    area_undeformed: jax.Array,
+    z: jax.Array,
+    config: ClosureConfig,
+) -> VesselModes:
+    def one(s: jax.Array) -> VesselModes:
+        return vessel_modes(wall, loss, s, z, config.wall.law, config.physics)
+
+    return jax.vmap(one)(area_undeformed)
+
+
+@partial(jax.jit, static_argnames=("function", "config"))
+def _value_and_jacobian(
+    function: Callable[..., jax.Array],
+    parameters: jax.Array,
+    cases: Any,
+    fixed: Any,
+    config: ClosureConfig,
+) -> tuple[jax.Array, jax.Array]:
+    value, push = jax.linearize(lambda x: function(x, cases, fixed, config), parameters)
+    return value, jax.vmap(push, out_axes=-1)(jnp.eye(parameters.size))
+
+
+def _problem(
+    function: Callable[..., jax.Array],
+    cases: tuple[Any, ...],
+    fixed: tuple[Any, ...],
+    config: ClosureConfig,
+) -> Problem:
+    """Hand the data over once; compile once for each shape."""
+    with double_precision():
+        on_device = jax.tree.map(jnp.asarray, (cases, fixed))
+    settings = _relevant(config)
+
+    def evaluate(parameters: Array) -> tuple[Array, Array]:
+        with double_precision():
+            value, jacobian = _value_and_jacobian(
+                function, jnp.asarray(parameters), *on_device, config=settings
+            )
+            return np.asarray(value), np.asarray(jacobian)
+
+    return evaluate
+
+
+@partial(jax.jit, static_argnames="config")
+def _couple(
+    vectors: tuple[jax.Array, ...],
+    vessels: VesselModes,
+    shift: jax.Array,
+    inflow: jax.Array,
+    period: jax.Array,
+    config: ClosureConfig,
+) -> tuple[Coupled, jax.Array]:
+    """Couple all cases, and say which settle."""
+    outlet, wall, correction = vectors
+
+    def one(vessel: VesselModes, shift: jax.Array, inflow: jax.Array) -> tuple[Coupled, jax.Array]:
+        coupled = couple(outlet, wall, correction, shift, vessel, inflow, period, config.correction)
+        return coupled, coupled.change <= _CONVERGED * jnp.max(jnp.abs(inflow))
+
+    return jax.vmap(one)(vessels, shift, inflow)
+
+
+@partial(jax.jit, static_argnames="reverses")
+def _fields(
+    wall: jax.Array, coupled: Coupled, vessels: VesselModes, inflow: jax.Array, reverses: bool
+) -> tuple[jax.Array, ...]:
+    """Evaluate all cases; the modes of reversed flow only where some flow reverses."""
+
+    def one(coupled: Coupled, vessel: VesselModes, inflow: jax.Array) -> tuple[jax.Array, ...]:
+        return fields(coupled, vessel, wall, inflow, reverses)
+
+    return jax.vmap(one)(coupled, vessels, inflow)

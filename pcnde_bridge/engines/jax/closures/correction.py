@@ -1,0 +1,60 @@
+"""The learned share g of the wall's storage that the averaged flow does not show.
+
+A network of two local quantities of the passive tube, the rate u of its outlet pressure
+and its outlet flow y, gives at every instant
+
+    g = c·sigmoid(N_θ(u/u_scale, y/y_scale) + shift),
+
+where the ceiling c is the largest share that the training cases show: beyond them the
+flow shows no less of the storage than it ever did, and a steady flow is left alone.  It
+knows nothing of t itself: a wave shifted in time gives the shifted answer, on any time
+grid.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+
+_SCALARS = 4
+"""Before the weights: κ, c, u_scale and y_scale."""
+
+
+def storage_factor(parameters: jax.Array) -> jax.Array:
+    """κ: how much flow goes into a change of the wall's volume; 1 where volume is conserved."""
+    return parameters[0]
+
+
+def hidden_share(
+    parameters: jax.Array,
+    pressure_rate: jax.Array,
+    flow: jax.Array,
+    shift: jax.Array,
+    hidden: tuple[int, ...],
+) -> jax.Array:
+    """Return g.
+
+    Parameters
+    ----------
+    parameters : array of shape (4 + n,)
+        κ, c, u_scale (dyn/cm²/s), y_scale (mL/s), then per layer weights and bias.
+    pressure_rate, flow : array of shape (time,)
+        u and y.
+    shift : scalar
+        Added before the sigmoid: 0, or a draw of what differs from case to case.
+    hidden : tuple of int
+        Widths of the hidden layers.
+    """
+    x = jnp.stack([pressure_rate / parameters[2], flow / parameters[3]], axis=-1)
+    sizes = (2, *hidden, 1)
+    at = _SCALARS
+    for layer, (n, m) in enumerate(itertools.pairwise(sizes)):
+        weight = parameters[at : at + n * m].reshape(n, m)
+        bias = parameters[at + n * m : at + (n + 1) * m]
+        at += (n + 1) * m
+        x = x @ weight + bias
+        if layer < len(hidden):
+            x = jnp.tanh(x)
+    return parameters[1] * jax.nn.sigmoid(x[..., 0] + shift)

@@ -1,0 +1,142 @@
+"""Whether an input lies outside the training data, with a score.
+
+Inflow and area profile are each described by few numbers that do not depend on the
+grid, and compared with the box that the training cases fill in their principal
+components.  The score is 1 at the edge of the box: 1.2 is a fifth of its half width
+beyond it.  What the components cannot describe at all counts against the largest such
+remainder of the training cases, but at least 2 % of their size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.errors import InputError
+
+Array = npt.NDArray[np.float64]
+
+_HARMONICS = 12
+_PLACES = 101
+_KEPT = 1e-3
+_TOLERATED = 0.02
+
+
+class OutsideTrainingWarning(UserWarning):
+    """An input of a prediction lies outside the training data."""
+
+
+@dataclass(frozen=True, eq=False)
+class Novelty:
+    """The training cases' box, of inflow and of area.
+
+    Attributes
+    ----------
+    inflow_centre, area_centre : array of shape (n,)
+        Middle of the descriptions.
+    inflow_axes, area_axes : array of shape (k, n)
+        Principal components.
+    inflow_range, area_range : array of shape (2, k)
+        Middle and half width along each.
+    inflow_rest, area_rest : array of shape (1,)
+        Tolerated size of what the components leave.
+    """
+
+    inflow_centre: Array
+    inflow_axes: Array
+    inflow_range: Array
+    inflow_rest: Array
+    area_centre: Array
+    area_axes: Array
+    area_range: Array
+    area_rest: Array
+
+    @classmethod
+    def of(cls, inflow: Array, area_undeformed: Array, z: Array) -> Novelty:
+        """Find the box of the training cases: Q_in (case, time), S_u (case, z), z (z,)."""
+        return cls(*_box(_harmonics(inflow)), *_box(_profile(area_undeformed, z)))
+
+    def __iter__(self) -> Iterator[tuple[str, Array]]:
+        return ((f.name, getattr(self, f.name)) for f in fields(self))
+
+    def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
+        """Score of each case's inflow and of its area, (case,) each; beyond 1 is outside."""
+        return (
+            _score(
+                _harmonics(inflow),
+                self.inflow_centre,
+                self.inflow_axes,
+                self.inflow_range,
+                self.inflow_rest,
+            ),
+            _score(
+                _profile(area_undeformed, z),
+                self.area_centre,
+                self.area_axes,
+                self.area_range,
+                self.area_rest,
+            ),
+        )
+
+    def check(self) -> None:
+        """Raise if the arrays do not belong together.
+
+        Raises
+        ------
+        InputError
+            Naming the part.
+        """
+        for name, array in self:
+            if not np.isfinite(array).all():
+                raise InputError(f"The novelty's {name} holds values that are not finite.")
+        for part in ("inflow", "area"):
+            centre, axes, span, rest = (
+                getattr(self, f"{part}_{name}") for name in ("centre", "axes", "range", "rest")
+            )
+            if not (
+                centre.ndim == 1
+                and axes.shape[1:] == centre.shape
+                and span.shape == (2, len(axes))
+                and rest.shape == (1,)
+            ):
+                raise InputError(f"The novelty's arrays of {part} do not belong together.")
+
+
+def _harmonics(inflow: Array) -> Array:
+    """Fourier coefficients of the first harmonics, real and imaginary: (case, n)."""
+    spectrum = np.fft.rfft(inflow, axis=1)[:, : _HARMONICS + 1] / inflow.shape[1]
+    missing = _HARMONICS + 1 - spectrum.shape[1]
+    spectrum = np.pad(spectrum, ((0, 0), (0, missing)))
+    return np.concatenate([spectrum.real, spectrum.imag], axis=1)
+
+
+def _profile(area_undeformed: Array, z: Array) -> Array:
+    """Radius, up to √π, at equally spaced places, and the length: (case, n)."""
+    place = (z - z[0]) / (z[-1] - z[0])
+    at = np.linspace(0, 1, _PLACES)
+    rows = [np.interp(at, place, np.sqrt(s)) for s in area_undeformed]
+    length = np.full((len(rows), 1), z[-1] - z[0])
+    return np.concatenate([np.array(rows), length], axis=1)
+
+
+def _box(described: Array) -> tuple[Array, Array, Array, Array]:
+    centre = described.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(described - centre, full_matrices=False)
+    axes = axes[sizes > _KEPT * max(float(np.linalg.norm(described)), 1e-300)]
+    along = (described - centre) @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    rest = np.linalg.norm(described - centre - along @ axes, axis=1).max()
+    tolerated = max(float(rest), _TOLERATED * float(np.linalg.norm(centre)))
+    return centre, axes, np.stack([(low + high) / 2, (high - low) / 2]), np.array([tolerated])
+
+
+def _score(described: Array, centre: Array, axes: Array, span: Array, rest: Array) -> Array:
+    moved = described - centre
+    along = moved @ axes.T
+    beyond = np.abs(along - span[0]) / span[1]
+    left = np.linalg.norm(moved - along @ axes, axis=1) / rest[0]
+    score: Array = np.max(np.concatenate([beyond, left[:, None]], axis=1), axis=1)
+    return score

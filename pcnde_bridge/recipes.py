@@ -1,0 +1,119 @@
+"""What differs between the two kinds of model: the paper's networks, and the closures.
+
+:class:`~pcnde_bridge.model.PCNDE` is one class for both; its configuration says which.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters
+from pcnde_bridge.closures.training import ClosureTrainer
+from pcnde_bridge.closures.uncertainty import Uncertainty
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.engines.base import Engine, Grid, Solution
+from pcnde_bridge.history import Iteration
+from pcnde_bridge.parameters import STAGES, Parameters
+from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.training import Trainer, TrainingState
+
+Array = npt.NDArray[np.float64]
+Config = PCNDEConfig | ClosureConfig
+
+
+class Trained(NamedTuple):
+    """Result of a training run; ``facts`` are kept in the model's provenance."""
+
+    config: Config
+    parameters: Parameters | ClosureParameters
+    uncertainty: Uncertainty | None
+    history: tuple[Iteration, ...]
+    facts: dict[str, Any]
+
+
+def train(
+    cases: Cases,
+    config: Config,
+    engine: Engine,
+    seed: int,
+    checkpoint: str | os.PathLike[str] | None,
+    progress: bool | Callable[[Iteration], None],
+) -> Trained:
+    """Train from the start or from the checkpoint; see :meth:`PCNDE.fit`."""
+    on_record = progress if callable(progress) else None
+    trainer: Any
+    if isinstance(config, ClosureConfig):
+        trainer = ClosureTrainer(cases, config, engine, checkpoint, on_record)
+    else:
+        trainer = Trainer(cases, config, engine, checkpoint, on_record)
+    state = trainer.start(seed)
+    if progress is True:
+        with TrainingProgress(trainer.total, len(state.history)) as bar:
+            trainer.on_record = bar
+            state = trainer.run(state)
+    else:
+        state = trainer.run(state)
+    facts: dict[str, Any] = {"seed": state.seed, "seconds": state.seconds}
+    if isinstance(state, TrainingState):
+        facts["batches"] = [[int(i) for i in batch] for batch in state.batches]
+        return Trained(config, state.parameters, None, state.history, facts)
+    return Trained(trainer.config, state.parameters, state.uncertainty, state.history, facts)
+
+
+def config_from(settings: Any) -> Config:
+    """Read the configuration of a model file; only the closures' has a group ``outlet``."""
+    if isinstance(settings, Mapping) and "outlet" in settings:
+        return ClosureConfig.from_dict(settings)
+    return PCNDEConfig.from_dict(settings)
+
+
+def parameters_from(config: Config, arrays: Mapping[str, Array]) -> Parameters | ClosureParameters:
+    """Take the parameters from the arrays of a model file.
+
+    Raises
+    ------
+    KeyError
+        If one is missing.
+    """
+    if isinstance(config, ClosureConfig):
+        return ClosureParameters(**{name: arrays[name] for name in CLOSURES})
+    return Parameters(**{stage: arrays[stage] for stage in STAGES})
+
+
+def check(config: Config, parameters: Parameters | ClosureParameters, grid: Grid) -> None:
+    """Raise if the parameters do not fit the configuration.
+
+    Raises
+    ------
+    InputError
+        Naming what does not.
+    """
+    if isinstance(config, ClosureConfig) and isinstance(parameters, ClosureParameters):
+        parameters.check(config)
+    elif isinstance(config, PCNDEConfig) and isinstance(parameters, Parameters):
+        parameters.check(config, grid.time.size, grid.z.size)
+    else:
+        raise TypeError(f"{type(parameters).__name__} do not go with {type(config).__name__}")
+
+
+def predict(
+    engine: Engine,
+    config: Config,
+    parameters: Parameters | ClosureParameters,
+    inflow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+) -> Solution:
+    """Predict flow, area and pressure from checked inputs."""
+    if isinstance(config, ClosureConfig):
+        assert isinstance(parameters, ClosureParameters)
+        shift = np.zeros(len(inflow))
+        return engine.closures.predict(parameters, shift, inflow, area_undeformed, grid, config)
+    assert isinstance(parameters, Parameters)
+    return engine.predict(parameters, inflow, area_undeformed, grid, config)

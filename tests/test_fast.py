@@ -1,0 +1,445 @@
+"""Preset ``fast``: exact where it is linear, one minimiser, and the same model as any other."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import PAPER, PCNDE, PRESETS, InputError, PCNDEConfig, SolveError
+from pcnde_bridge import all_at_once as fast
+from pcnde_bridge.config import FAST, AllAtOnce
+from pcnde_bridge.engines.base import (
+    FlowInputs,
+    FourierAreaInputs,
+    Grid,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+from pcnde_bridge.engines.jax import JaxEngine
+from pcnde_bridge.inference import predict_by_stages, undeformed
+from pcnde_bridge.lbfgs import Whitening, minimise
+from pcnde_bridge.least_squares import solve_per_point
+from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.training import Trainer, TrainingState, Unit, count_iterations, plan
+
+LITTLE = FAST.replace(
+    coupling_passes=2,
+    all_at_once={
+        "rounds": 2,
+        "validation": 0.3,
+        "iterations": 8,
+        "later_iterations": 5,
+        "pressure_iterations": 12,
+        "patience": 4,
+        "check_every": 2,
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return JaxEngine()
+
+
+@pytest.fixture(scope="module")
+def grid(small_cases):
+    return Grid(small_cases.time, small_cases.z, small_cases.period)
+
+
+@pytest.fixture(scope="module")
+def everything(small_cases):
+    return (np.arange(len(small_cases)),)
+
+
+# ---- settings ----------------------------------------------------------------
+
+
+def test_the_preset_is_the_papers_model():
+    assert PRESETS["fast"] is FAST
+    assert FAST.replace(training="batches", flow={"steps": None}) == PAPER
+    assert PAPER.training == "batches"
+
+
+def test_settings_written_before_it_existed_are_read():
+    old = PAPER.to_dict()
+    del old["training"], old["all_at_once"], old["flow"]["steps"]
+    assert PCNDEConfig.from_dict(old) == PAPER
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"training": "batch"},
+        {"all_at_once": {"rounds": 0}},
+        {"all_at_once": {"weight_decay": -1.0}},
+        {"all_at_once": {"unknown": 1}},
+        {"flow": {"steps": 0}},
+    ],
+)
+def test_settings_that_make_no_sense(change):
+    with pytest.raises(InputError):
+        FAST.replace(**change)
+
+
+# ---- least squares -----------------------------------------------------------
+
+
+def test_least_squares_at_every_point():
+    rng = np.random.default_rng(0)
+    columns = [rng.normal(size=(4, 5, 3)), rng.normal(size=(1, 5, 1))]
+    target = rng.normal(size=(4, 5, 3))
+    unknowns, loss = solve_per_point(columns, target)
+    for point in range(3):
+        matrix = np.stack([np.broadcast_to(c, target.shape)[..., point].ravel() for c in columns])
+        expected = np.linalg.lstsq(matrix.T, target[..., point].ravel())[0]
+        assert np.allclose(unknowns[:, point], expected, rtol=1e-10)
+    left = target - sum(u * c for u, c in zip(unknowns, columns, strict=True))
+    assert loss == pytest.approx(np.mean(left**2), rel=1e-12)
+
+
+def test_what_the_columns_do_not_determine_stays_finite():
+    column = np.ones((2, 3, 4))
+    column[..., 0] = 0.0
+    unknowns, _ = solve_per_point([column, column], 3 * np.ones((2, 3, 4)))
+    assert np.allclose(unknowns, [[0, 1.5, 1.5, 1.5]] * 2)
+
+
+def area_gradients(engine, cases, grid, config):
+    """Gradients of both area stages at their fit and at a = 1, b = 0, and the fits."""
+    inputs = IntermediateAreaInputs(cases.flow, cases.area_undeformed)
+    first, loss = fast.fit_intermediate_area(inputs, cases.area, engine, grid, config)
+    whole = engine.intermediate_area.solve(first, inputs, grid, config)
+    fourier = FourierAreaInputs(cases.flow, whole[:, -1])
+    second, fourier_loss = fast.fit_fourier_area(fourier, cases.area, engine, grid, config)
+    start = np.repeat([1.0, 0.0], cases.n_points)
+    for stage, arrays, vector, least in (
+        (engine.intermediate_area, inputs, first, loss),
+        (engine.fourier_area, fourier, second, fourier_loss),
+    ):
+        found, at_fit = stage.loss_and_gradient(vector, arrays, cases.area, grid, config)
+        _, before = stage.loss_and_gradient(start, arrays, cases.area, grid, config)
+        assert found == pytest.approx(least, rel=1e-9)
+        yield np.abs(at_fit).max() / np.abs(before).max(), vector
+
+
+def test_the_area_stages_are_at_their_minimum(engine, small_cases, grid):
+    for ratio, _ in area_gradients(engine, small_cases, grid, LITTLE):
+        assert ratio < 1e-9
+
+
+@pytest.mark.julia
+def test_the_area_stages_are_the_same_with_both_engines(engine, small_cases, grid):
+    from pcnde_bridge.engines import select_engine
+
+    ours = area_gradients(engine, small_cases, grid, LITTLE)
+    theirs = area_gradients(select_engine("julia"), small_cases, grid, LITTLE)
+    for (_, mine), (ratio, other) in zip(ours, theirs, strict=True):
+        assert ratio < 1e-9
+        assert np.allclose(mine, other, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "gelu", "sigmoid", "swish"])  # relu starts dead
+def test_the_pressure_networks_last_layer_is_at_its_minimum(
+    engine, small_cases, grid, everything, activation
+):
+    config = LITTLE.replace(
+        temporal_pressure={"activation": activation, "hidden": (3, 2)},
+        all_at_once={"pressure_weight_decay": 0.0},
+    )
+    inputs = TemporalPressureInputs(small_cases.flow, small_cases.area, small_cases.area_undeformed)
+    target = small_cases.pressure / config.physics.reference_pressure
+    start = initial_parameters(config, 20, 21, 0).temporal_pressure
+    losses = []
+    vector = fast.fit_temporal_pressure(
+        start, inputs, target, everything, config, lambda _, loss: losses.append(loss)
+    )
+    stage = engine.temporal_pressure
+    loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
+    first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
+    assert loss < 0.1 * first
+    assert all(later <= earlier for earlier, later in pairwise(losses))
+    assert losses[-1] == pytest.approx(loss, rel=0.05)  # but for the ridge
+    last = 3 * small_cases.n_points
+    assert np.abs(gradient[-last:]).max() < 1e-4 * np.abs(before[-last:]).max()
+
+
+@pytest.mark.parametrize("form", ["continuous", "printed"])
+def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form):
+    config = LITTLE.replace(
+        spatial_pressure={"form": form}, all_at_once={"pressure_iterations": 200}
+    )
+    target = small_cases.pressure / config.physics.reference_pressure
+    inputs = SpatialPressureInputs(target, small_cases.flow, small_cases.area_undeformed)
+    start = initial_parameters(config, 20, 21, 0).spatial_pressure
+    losses = []
+    vector = fast.fit_spatial_pressure(
+        start, inputs, target, grid, config, lambda _, loss: losses.append(loss)
+    )
+    stage = engine.spatial_pressure
+    loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
+    first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
+    assert loss < first
+    assert losses[-1] == pytest.approx(loss, rel=1e-6)
+    assert np.abs(gradient[:22]).max() < 1e-8 * np.abs(before).max()  # a₁, a₂, b₁
+    assert np.abs(gradient[22:]).max() < 1e-4 * np.abs(before).max()  # b₂
+
+
+# ---- L-BFGS ------------------------------------------------------------------
+
+
+def test_whitened_coordinates():
+    rng = np.random.default_rng(1)
+    basis = rng.normal(size=(3, 12))
+    inputs = 5 + rng.normal(size=(200, 3)) * [1.0, 0.5, 0.2] @ basis
+    whitening = Whitening(inputs, 4, 1e-3)
+    spread = whitening.inputs(inputs)
+    assert spread.shape == (200, 3)
+    assert np.abs(spread.mean(axis=0)).max() < 1e-10
+    assert 0.5 < spread.std(axis=0).min() <= spread.std(axis=0).max() < 1 + 1e-10
+    parameters = rng.normal(size=12 * 4 + 4 + 7)
+    ours = whitening.coordinates(parameters)
+    back = whitening.parameters(ours)
+    assert np.allclose(whitening.coordinates(back), ours)
+
+    def first_layer(vector, n_in, x):
+        return x @ vector[: n_in * 4].reshape(n_in, 4) + vector[n_in * 4 : n_in * 4 + 4]
+
+    expected = first_layer(parameters, 12, inputs)
+    assert np.allclose(first_layer(back, 12, inputs), expected)
+    assert np.allclose(first_layer(ours, 3, spread), expected)
+    weights = rng.normal(size=parameters.size)
+    direction = rng.normal(size=ours.size)
+    change = whitening.parameters(ours + direction) - whitening.parameters(ours)
+    assert whitening.gradient(weights) @ direction == pytest.approx(weights @ change)
+
+
+def bowl(x):
+    scale = np.array([1.0, 10.0, 100.0])
+    return float(np.sum(scale * (x - 1) ** 2)), 2 * scale * (x - 1)
+
+
+def test_the_minimiser_finds_the_minimum_and_tells_the_loss():
+    seen = []
+    found = minimise(
+        bowl,
+        np.zeros(3),
+        AllAtOnce(weight_decay=0.0),
+        50,
+        1.0,
+        on_iteration=lambda i, loss: seen.append((i, loss)),
+    )
+    assert np.allclose(found, 1, atol=1e-7)
+    assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
+    assert seen[-1][1] < 1e-12
+    decayed = minimise(bowl, np.zeros(3), AllAtOnce(weight_decay=0.5), 50, 2.0)
+    assert np.allclose(decayed, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
+
+
+def test_a_diverging_trial_step_is_shortened():
+    trials = []
+
+    def cliff(x):
+        trials.append(bool(x.max() > 1.5))
+        return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
+
+    found = minimise(cliff, np.full(3, -40.0), AllAtOnce(weight_decay=0.0), 100, 1e-3)
+    assert any(trials)
+    assert np.allclose(found, 1, atol=1e-5)
+    with pytest.raises(SolveError, match="not finite at the first parameters"):
+        minimise(cliff, np.full(3, 2.0), AllAtOnce(), 10, 1.0)
+
+
+def test_early_stopping_keeps_the_best():
+    seen, looks = [], []
+
+    def validate(x):
+        looks.append(x.copy())
+        return abs(len(looks) - 2.0)
+
+    settings = AllAtOnce(weight_decay=0.0, check_every=1, patience=2)
+    found = minimise(
+        lambda x: bowl(x), np.zeros(3), settings, 50, 1.0, validate, lambda *r: seen.append(r)
+    )
+    assert len(seen) == len(looks) == 4
+    assert np.array_equal(found, looks[1])
+
+
+# ---- parts -------------------------------------------------------------------
+
+
+def test_the_validation_part_is_whole_waveforms_and_geometries(small_cases):
+    settings = AllAtOnce(validation=0.3)
+    fitted, held = fast.parts(small_cases, settings, 0)
+    assert sorted([*fitted, *held]) == list(range(12))
+    assert 4 <= len(held) <= 6
+    labels = small_cases.labels
+    for case in held:
+        alike = [labels[name] == labels[name][case] for name in ("geometry", "waveform")]
+        assert any(set(np.flatnonzero(same)) <= set(held) for same in alike)
+    again = fast.parts(small_cases, settings, 0)
+    assert np.array_equal(again[1], held)
+    others = {tuple(fast.parts(small_cases, settings, seed)[1]) for seed in range(10)}
+    assert len(others) > 3
+
+
+def test_without_groups_single_cases_are_drawn(small_cases):
+    one_each = small_cases.select(range(9))
+    object.__setattr__(one_each, "_labels", one_each.labels.assign(geometry=range(9), waveform=0))
+    fitted, held = fast.parts(one_each, AllAtOnce(validation=0.25), 0)
+    assert (len(fitted), len(held)) == (7, 2)
+
+
+def test_few_cases_spare_none(small_cases):
+    (only,) = fast.parts(small_cases.select(range(7)), AllAtOnce(validation=0.3), 0)
+    assert np.array_equal(only, range(7))
+    (only,) = fast.parts(small_cases, AllAtOnce(validation=0.0), 0)
+    assert np.array_equal(only, range(12))
+
+
+# ---- training loop -----------------------------------------------------------
+
+
+def train(cases, engine, **options):
+    trainer = Trainer(cases, LITTLE, engine, **options)
+    return trainer.run(trainer.start(0))
+
+
+def without_seconds(history):
+    return [record[:-1] for record in history]
+
+
+def test_plan():
+    assert plan(LITTLE, 2) == [
+        Unit("flow", 1, 1),
+        Unit("coupling", 1, 1),
+        Unit("flow", 2, 1),
+        Unit("coupling", 2, 1),
+        Unit("temporal_pressure", 1, 1),
+        Unit("temporal_pressure", 2, 1),
+        Unit("spatial_pressure", 1, 1),
+    ]
+    assert count_iterations(LITTLE, 2) == 8 + 5 + 4 + 3 * 12
+    assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
+
+
+def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
+    whole = train(small_cases, toy_engine)
+    stages = [record.stage for record in whole.history]
+    assert list(dict.fromkeys(stages)) == [
+        "flow",
+        "intermediate_area",
+        "fourier_area",
+        "temporal_pressure",
+        "spatial_pressure",
+    ]
+    assert len(stages) <= count_iterations(LITTLE, 2)
+    moments = [0, *(i for i in range(1, len(stages)) if stages[i] != stages[i - 1])]
+    assert len(moments) >= 8
+    for moment in moments[::3]:
+        path, seen = tmp_path / str(moment), []
+
+        def stop(record, seen=seen, moment=moment):
+            seen.append(record)
+            if len(seen) == moment + 1:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            train(small_cases, toy_engine, checkpoint=path, on_record=stop)
+        kept = Trainer(small_cases, LITTLE, toy_engine, checkpoint=path).start(0)
+        assert len(kept.history) <= moment
+        final = train(small_cases, toy_engine, checkpoint=path)
+        assert final.parameters == whole.parameters
+        assert without_seconds(final.history) == without_seconds(whole.history)
+
+
+def test_the_batches_of_a_state_are_its_parts(small_cases):
+    state = TrainingState.start(small_cases, LITTLE, 5)
+    for mine, expected in zip(
+        state.batches, fast.parts(small_cases, LITTLE.all_at_once, 5), strict=True
+    ):
+        assert np.array_equal(mine, expected)
+
+
+# ---- equal steps, and a whole fit with JAX -----------------------------------
+
+
+def test_equal_steps_solve_the_same_equation(engine, small_cases, grid):
+    parameters = initial_parameters(FAST, 20, 21, 0)
+    inputs = FlowInputs(small_cases.inflow, undeformed(small_cases.area_undeformed, 20))
+    exact = PAPER.replace(flow={"rtol": 1e-10, "atol": 1e-12})
+    expected = engine.flow.solve(parameters.flow, inputs, grid, exact)
+    errors = []
+    for steps in (12, 24):
+        config = FAST.replace(flow={"steps": steps})
+        found = engine.flow.solve(parameters.flow, inputs, grid, config)
+        errors.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    assert errors[0] < 1e-4
+    assert errors[1] < errors[0] / 3  # S has kinks at the points, which lower the order
+
+
+def test_an_input_that_diverges_is_named(engine, small_cases, grid):
+    inflow = small_cases.inflow.copy()
+    inflow[7, 3] = np.inf
+    inputs = FlowInputs(inflow, undeformed(small_cases.area_undeformed, 20))
+    parameters = initial_parameters(FAST, 20, 21, 0)
+    with pytest.raises(SolveError, match=r"case 7 \(1 of 12"):
+        engine.flow.solve(parameters.flow, inputs, grid, FAST)
+
+
+def test_a_whole_fit(engine, small_cases, grid, tmp_path):
+    cases = small_cases
+    model = PCNDE.fit(cases, LITTLE, engine=engine, progress=False)
+    before = PCNDE(LITTLE, initial_parameters(LITTLE, 20, 21, 0), model.grid, engine)
+    errors, at_start = (pooled_errors(m.predict(cases).variables(), cases) for m in (model, before))
+    for variable in ("flow", "area", "pressure"):
+        assert errors[variable] < 0.5 * at_start[variable]
+    by_stages = predict_by_stages(
+        engine, model.parameters, cases.inflow, cases.area_undeformed, grid, LITTLE
+    )
+    predicted = model.predict(cases)
+    assert np.allclose(predicted.flow, by_stages.flow, rtol=1e-9)
+    assert np.allclose(predicted.area, by_stages.area, rtol=1e-9)
+    assert np.allclose(predicted.pressure, by_stages.pressure, rtol=1e-9)
+    model.save(tmp_path / "model.npz")
+    assert PCNDE.load(tmp_path / "model.npz", engine=engine).config == LITTLE
+
+
+def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everything):
+    """The held cases' targets decide when to stop, and nothing else."""
+    parts = fast.parts(small_cases, AllAtOnce(validation=0.3), 0)
+    area = undeformed(small_cases.area_undeformed, 20)
+    start = initial_parameters(LITTLE, 20, 21, 0).flow
+
+    def fit(cases, selection):
+        return fast.fit_flow(start, cases, area, selection, engine, LITTLE, 3)
+
+    from pcnde_bridge import Cases
+
+    flow = small_cases.flow.copy()
+    flow[parts[1], :, 1:] *= 1.01
+    other = Cases(
+        flow,
+        small_cases.area,
+        small_cases.pressure,
+        small_cases.area_undeformed,
+        small_cases.time,
+        small_cases.z,
+        period=1.0,
+        labels=small_cases.labels,
+    )
+    assert np.array_equal(fit(small_cases, parts[:1]), fit(other, parts[:1]))
+    assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
+
+
+def test_the_published_cases(published_cases):
+    """The whole preset on the paper's split, seed 0."""
+    split = published_cases.split("paper")
+    model = PCNDE.fit(split.train, "fast", engine="jax", seed=0, progress=False)
+    trained = pooled_errors(model.predict(split.train).variables(), split.train)
+    assert trained["flow"] < 0.0035
+    assert trained["area"] < 0.0075
+    assert trained["pressure"] < 0.0055

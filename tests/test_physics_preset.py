@@ -1,0 +1,591 @@
+"""The preset ``physics``: fit, checkpoint, files, samples, novelty, command line."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_closures import (
+    AREA,
+    CORRECTED,
+    INFLOW,
+    TIME,
+    Z,
+    made_by_the_closures,
+    vessel,
+    waves,
+)
+
+from pcnde_bridge import PCNDE, Cases, EngineUnavailableError, InputError
+from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.closures.uncertainty import parts
+from pcnde_bridge.config import PHYSICS, ClosureConfig
+from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
+from pcnde_bridge.parameters import initial_parameters
+
+VARIABLES = ("flow", "area", "pressure")
+SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}
+CONFIG = PHYSICS.replace(correction=SETTINGS)
+
+
+def fitted(cases, config=CONFIG, seed=0, **options):
+    return PCNDE.fit(cases, config, "jax", seed, **{"progress": False, **options})
+
+
+def same_bits(a, b):
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in VARIABLES)
+
+
+def same_numbers(a, b):
+    """Whether two models hold the same bits, but for times and versions."""
+    parts_of = [
+        [*dict(m.parameters).values(), *dict(m.uncertainty).values(), *dict(m.novelty).values()]
+        for m in (a, b)
+    ]
+    same_history = a.history.drop(columns="seconds").equals(b.history.drop(columns="seconds"))
+    return same_history and all(map(np.array_equal, *parts_of))
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """4 geometries × 4 waveforms, made by the closures themselves."""
+    return made_by_the_closures()
+
+
+@pytest.fixture(scope="module")
+def records():
+    return []
+
+
+@pytest.fixture(scope="module")
+def model(cases, records):
+    return fitted(cases, progress=records.append)
+
+
+@pytest.fixture(scope="module")
+def prediction(model, cases):
+    return model.predict(cases, samples=12, seed=3)
+
+
+@pytest.fixture(scope="module")
+def model_file(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("physics") / "model.npz"
+    model.save(path)
+    return path
+
+
+# ---- fit -------------------------------------------------------------------
+
+
+def test_what_the_closures_made_is_learnt(model, cases):
+    errors = model.evaluate(cases).iloc[-1]
+    # A few evaluations; a passive tube alone leaves 1e-2 of the flow.
+    assert (errors < {"flow": 1e-3, "area": 5e-4, "pressure": 1e-3}[errors.idxmax()]).all()
+    assert model.config == CONFIG.replace(wall={"law": "membrane"})
+    assert model.parameters.outlet == pytest.approx(CORRECTED.outlet, rel=1e-3)
+    assert model.parameters.losses == pytest.approx(CORRECTED.losses, rel=0.05)
+    assert model.has_pressure
+
+
+def test_history_names_the_closures(model, records):
+    history = model.history
+    assert list(history.itertuples(index=False, name=None)) == [tuple(r) for r in records]
+    assert list(dict.fromkeys(history["stage"])) == ["losses", "wall", "correction"]
+    fits = history[history["stage"] == "correction"]
+    # The fit to all cases, then four that leave out a part of them.
+    assert list(dict.fromkeys(fits["epoch"])) == [1, 2, 3, 4, 5]
+    for _, rows in history.groupby(["stage", "epoch"]):
+        assert list(rows["iteration"]) == list(range(1, len(rows) + 1))
+        assert len(rows) <= 15
+        assert rows["loss"].is_monotonic_decreasing
+    assert history["seconds"].is_monotonic_increasing
+
+
+def test_provenance(model, cases):
+    found = model.provenance
+    assert (found["seed"], found["engine"], found["cases"]) == (0, "jax", 16)
+    assert found["cases_fingerprint"] == cases.fingerprint()
+    assert "jax" in found["versions"]
+    assert found["seconds"] == model.history["seconds"].iloc[-1] > 0
+    assert json.loads(json.dumps(found)) == found
+
+
+def test_same_seed_same_bits_other_seed_others(model, cases):
+    assert same_numbers(fitted(cases, seed=np.int64(0)), model)
+    other = fitted(cases, seed=1)
+    assert not np.array_equal(other.parameters.correction, model.parameters.correction)
+    assert np.array_equal(other.parameters.wall, model.parameters.wall)
+
+
+def test_given_numbers_are_kept(cases):
+    given = CONFIG.replace(
+        outlet={"resistance": 1e5, "distal_pressure": 5e3},
+        losses={"friction": 1.2, "inertia": 1.1, "convection": 0.9, "jet_spread": 0.12},
+        wall={"stiffness": 1e6, "poisson": 0.45, "shear": 0.2, "support": 1.0}
+        | {"zero_pressure": 2e3},
+        correction={"storage": 1.3, "folds": 0},
+    )
+    model = fitted(cases, given)
+    for name in ("outlet", "losses", "wall"):
+        assert np.array_equal(getattr(model.parameters, name), getattr(CORRECTED, name))
+    assert model.parameters.correction[0] == 1.3
+    assert model.evaluate(cases).iloc[-1].max() < 1e-3
+    assert model.uncertainty is None
+    with pytest.raises(InputError, match="no uncertainty to draw samples from"):
+        model.predict(cases, samples=4)
+
+
+def test_julia_does_not_compute_it_yet(cases, model_file):
+    with pytest.raises(EngineUnavailableError, match="use engine='jax'"):
+        PCNDE.fit(cases, "physics", engine="julia")
+    with pytest.raises(EngineUnavailableError, match="use engine='jax'"):
+        PCNDE.load(model_file, engine="julia")
+    assert PCNDE.load(model_file, engine="auto").engine.name == "jax"
+
+
+def test_cases_that_do_not_vary_are_refused():
+    steady = np.ones((2, 32, 41))
+    same = Cases(steady, 0.125 * steady, 1e5 * steady, AREA[:2], TIME, Z)
+    with pytest.raises(InputError, match="do not vary"):
+        fitted(same)
+
+
+def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
+    left_out = parts(cases, 2)
+    labels = cases.labels[["geometry", "waveform"]]
+    taken = [set(labels.iloc[part].itertuples(index=False, name=None)) for part in left_out]
+    # Geometries are in order of their narrowness, waveforms in that of their oscillation.
+    assert taken == [{(g, w) for g in pair for w in range(4)} for pair in ((3, 4), (1, 2))] + [
+        {(g, w) for g in range(1, 5) for w in pair} for pair in ((0, 1), (2, 3))
+    ]
+    few = cases.select(geometry=1)
+    assert sorted(np.concatenate(parts(few, 2))) == [0, 1, 2, 3]
+    scattered = parts(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
+    assert [list(part) for part in scattered] == [[0, 2], [1]]
+
+
+# ---- checkpoint ------------------------------------------------------------
+
+
+def interrupt_at(stage, epoch):
+    """Callback that raises at a fit's first record."""
+
+    def on_record(record):
+        if (record.stage, record.epoch, record.iteration) == (stage, epoch, 1):
+            raise KeyboardInterrupt
+
+    return on_record
+
+
+@pytest.mark.parametrize(("stage", "epoch"), [("losses", 1), ("correction", 1), ("correction", 2)])
+def test_interrupted_run_goes_on_to_the_same_bits(model, cases, tmp_path, stage, epoch):
+    path = tmp_path / "checkpoint"
+    with pytest.raises(KeyboardInterrupt):
+        fitted(cases, checkpoint=path, progress=interrupt_at(stage, epoch))
+    records = []
+    resumed = fitted(cases, checkpoint=path, progress=records.append)
+    assert same_numbers(resumed, model)
+    # What was finished is not done again, what was interrupted is.
+    assert (records[0].stage, records[0].epoch, records[0].iteration) == (stage, epoch, 1)
+
+
+def test_finished_checkpoint_gives_the_model_at_once(model, cases, tmp_path):
+    path, records = tmp_path / "checkpoint", []
+    first = fitted(cases, checkpoint=path)
+    again = fitted(cases, checkpoint=path, progress=records.append)
+    assert same_numbers(first, again)
+    assert same_numbers(first, model)
+    assert records == []
+
+
+@pytest.fixture(scope="module")
+def started(cases, tmp_path_factory):
+    path = tmp_path_factory.mktemp("started") / "checkpoint"
+    with pytest.raises(KeyboardInterrupt):
+        fitted(cases, checkpoint=path, progress=interrupt_at("wall", 1))
+    return path
+
+
+def test_checkpoint_of_another_run_is_refused_and_untouched(cases, started):
+    whole = started.read_bytes()
+    deeper = CONFIG.replace(correction={"hidden": (5,)})
+    for arguments, message in (
+        ({"cases": cases.select(slice(0, 15))}, "on other cases"),
+        ({"cases": cases, "config": deeper}, "with another configuration"),
+        ({"cases": cases, "seed": 1}, "with seed 0, not 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            fitted(checkpoint=started, **arguments)
+    assert started.read_bytes() == whole
+
+
+def test_damaged_checkpoint_is_a_file_error(cases, started, tmp_path):
+    whole, path = started.read_bytes(), tmp_path / "checkpoint"
+    for part in (0.0, 0.5, 0.99):
+        path.write_bytes(whole[: int(part * len(whole))])
+        with pytest.raises(FileError, match="checkpoint"):
+            fitted(cases, checkpoint=path)
+
+
+@pytest.mark.parametrize("change", ["missing", "short", "unknown", "history"])
+def test_checkpoint_that_is_not_whole_is_a_file_error(cases, started, tmp_path, change):
+    kind, path = "pcnde-closures-checkpoint", tmp_path / "checkpoint"
+    facts, arrays = read_archive(started, kind, 1, "checkpoint")
+    facts = {k: v for k, v in facts.items() if not k.startswith("format")}
+    if change == "missing":
+        del arrays["losses"]
+    elif change == "short":
+        arrays["losses"] = arrays["losses"][:-1]
+    elif change == "unknown":
+        facts["vectors"] = [*facts["vectors"], "wall"]
+    else:
+        arrays["history"] = np.ones((2, 5))
+    write_archive(path, kind, 1, facts, arrays)
+    with pytest.raises(FileError, match="not a whole checkpoint"):
+        fitted(cases, checkpoint=path)
+
+
+# ---- files -----------------------------------------------------------------
+
+
+def test_saved_model_predicts_the_same_bits(model, model_file, cases, prediction):
+    loaded = PCNDE.load(model_file)
+    assert loaded.config == model.config
+    assert loaded.provenance == model.provenance
+    assert loaded.history.equals(model.history)
+    assert same_numbers(loaded, model)
+    again = loaded.predict(cases, samples=12, seed=3)
+    assert same_bits(again, prediction)
+    assert np.array_equal(again.novelty, prediction.novelty)
+    for name in VARIABLES:
+        assert np.array_equal(again.samples[name], prediction.samples[name])
+
+
+def damaged(model_file, path, change):
+    facts, arrays = read_archive(model_file, "pcnde-model", 1, "model")
+    facts = {k: v for k, v in facts.items() if not k.startswith("format")}
+    change(facts, arrays)
+    write_archive(path, "pcnde-model", 1, facts, arrays)
+    return path
+
+
+NEEDED = (
+    *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale")),
+    *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("centre", "axes")),
+    *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("range", "rest")),
+    *("outlet", "losses", "wall", "correction", "history", "time", "z", "period"),
+)
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_model_without_one_of_its_arrays_is_a_file_error(model_file, tmp_path, name):
+    path = damaged(model_file, tmp_path / "model", lambda _, arrays: arrays.pop(name))
+    with pytest.raises(FileError, match="not a whole model"):
+        PCNDE.load(path)
+
+
+@pytest.mark.parametrize("name", [n for n in NEEDED if n not in ("time", "z", "period")])
+def test_model_with_an_array_of_another_shape_is_a_file_error(model_file, tmp_path, name):
+    def cut(_, arrays):
+        # The profile may have any number of points.
+        last = name != "uncertainty_profile"
+        arrays[name] = arrays[name][..., :-1] if last else arrays[name][:-1]
+
+    with pytest.raises(FileError, match="not a whole model"):
+        PCNDE.load(damaged(model_file, tmp_path / "model", cut))
+
+
+@pytest.mark.parametrize("name", ["wall", "uncertainty_members", "novelty_area_axes"])
+def test_model_with_numbers_that_are_not_finite_is_a_file_error(model_file, tmp_path, name):
+    def spoil(_, arrays):
+        arrays[name] = np.full_like(arrays[name], np.nan)
+
+    with pytest.raises(FileError, match="not a whole model"):
+        PCNDE.load(damaged(model_file, tmp_path / "model", spoil))
+
+
+@pytest.mark.parametrize(
+    "settings", [None, {"outlet": None}, {"outlet": {}, "wall": {"law": "auto"}}, {"outlet": 3}]
+)
+def test_model_with_a_configuration_that_does_not_fit_is_a_file_error(
+    model_file, tmp_path, settings
+):
+    path = damaged(model_file, tmp_path / "model", lambda f, _: f.update(config=settings))
+    with pytest.raises(FileError, match="not a whole model"):
+        PCNDE.load(path)
+
+
+def test_cut_model_is_a_file_error(model_file, tmp_path):
+    path, whole = tmp_path / "cut", model_file.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileError, match="cut"):
+        PCNDE.load(path)
+
+
+def test_configuration_survives_json():
+    assert ClosureConfig.from_json(CONFIG.to_json()) == CONFIG
+
+
+# ---- predict ---------------------------------------------------------------
+
+
+def test_prediction_takes_cases_or_their_inputs(model, cases, prediction):
+    other = model.predict(INFLOW, AREA)
+    assert same_bits(other, prediction)
+    assert other.samples is None
+    assert np.array_equal(other.flow[:, :, 0], INFLOW)
+    one_wave = model.predict(INFLOW[1], AREA[::4])
+    assert np.allclose(one_wave.flow, other.flow[1::4], rtol=1e-12)
+
+
+def test_samples_have_the_shape_and_are_the_seeds_own(model, cases, prediction):
+    for name in VARIABLES:
+        assert prediction.samples[name].shape == (12, 16, 32, 41)
+        assert prediction.deviation()[name].shape == (16, 32, 41)
+        assert np.isfinite(prediction.samples[name]).all()
+    same, other = (model.predict(cases, samples=12, seed=seed) for seed in (3, 4))
+    assert same_bits(same, prediction)
+    for name in VARIABLES:
+        assert np.array_equal(same.samples[name], prediction.samples[name])
+        assert not np.array_equal(other.samples[name], prediction.samples[name])
+
+
+def test_samples_meet_the_inlet_flow_exactly_and_spread_further_on(prediction):
+    flow = prediction.samples["flow"]
+    assert (flow[..., 0] == INFLOW).all()
+    assert prediction.deviation()["flow"][..., 0].max() < 1e-14
+    assert (prediction.deviation()["flow"][..., 5:] > 0).all()
+    area = prediction.samples["area"][..., [0, -1]]
+    assert np.allclose(area, AREA[:, None, [0, -1]], rtol=1e-13)
+
+
+def test_intervals_hold_about_their_share_of_the_training_values(model, cases):
+    found = model.predict(cases, samples=64)
+    narrow, wide = found.interval(0.5), found.interval(0.9)
+    for name in VARIABLES:
+        inside = np.s_[..., 1:-1]
+        truth = getattr(cases, name)[inside]
+
+        def share(limits, truth=truth, inside=inside):
+            low, high = (limit[inside] for limit in limits)
+            return ((low <= truth) & (truth <= high)).mean()
+
+        # Calibrated at 0.9 on cases that were left out; on those that were not, with 64
+        # draws' deviation off by a tenth and errors that go together along a case.
+        assert 0.75 < share(wide[name]) <= 1
+        assert share(narrow[name]) < share(wide[name])
+        middle = (wide[name][0] + wide[name][1]) / 2
+        assert np.allclose(middle, getattr(found, name), rtol=1e-12)
+
+
+def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, prediction):
+    for samples in (-1, 2.0, True, "8"):
+        with pytest.raises(InputError, match="samples must be a whole number"):
+            model.predict(cases, samples=samples)
+    for level in (0.0, 1.0, -0.5, 90, np.nan):
+        with pytest.raises(InputError, match="level must lie between 0 and 1"):
+            prediction.interval(level)
+    with pytest.raises(InputError, match="has no samples"):
+        model.predict(cases).interval()
+    with pytest.raises(InputError, match="has no samples"):
+        model.predict(cases).deviation()
+
+
+@pytest.mark.parametrize("seed", [-1, "0"])
+def test_seed_of_the_samples_that_makes_no_sense_is_refused(model, cases, seed):
+    with pytest.raises(InputError, match="seed"):
+        model.predict(cases, samples=2, seed=seed)
+
+
+def test_shifted_points_give_the_same_answer(model, prediction):
+    moved = model.predict(INFLOW, AREA, z=Z + 7)
+    for name in VARIABLES:
+        assert np.allclose(getattr(moved, name), getattr(prediction, name), rtol=1e-9)
+    assert np.array_equal(moved.z, Z + 7)
+
+
+def test_more_points_and_instants_give_the_same_answer(model, prediction):
+    time, z = np.arange(100) / 100, np.linspace(0, 4, 81)
+    areas = np.array([vessel(2.0, blockage=b, z=z) for b in (0.45, 0.6)])
+    found = model.predict(waves(time)[:1], areas, z=z, samples=2)
+    assert found.samples["area"].shape == (2, 2, 100, 81)
+    assert np.allclose(found.time, time, rtol=1e-14)
+    # Instants 0, ¼, ½, ¾ and 41 points are on both grids.  What differs is what elements
+    # of 0.1 cm make of a stenosis of 0.3 cm.
+    for name, allowed in (("flow", 1e-3), ("area", 2e-3), ("pressure", 2e-3)):
+        expected = getattr(prediction, name)[[4, 8], ::8]
+        missed = getattr(found, name)[:, ::25, ::2] - expected
+        assert np.abs(missed).max() < allowed * np.abs(expected).max()
+
+
+def test_longer_period_stores_less_on_the_way(model):
+    fast, slow = model.predict(INFLOW, AREA), model.predict(INFLOW, AREA, period=10.0)
+    assert slow.period == 10.0
+    assert slow.time[1] == 10 / 32
+    stored_fast, stored_slow = (np.abs(p.flow - INFLOW[..., None]).max() for p in (fast, slow))
+    assert 0 < stored_slow < 0.3 * stored_fast
+
+
+def test_grids_that_cannot_be_used_are_refused(model, cases):
+    for arguments, options, message in (
+        ((INFLOW[:, :15], AREA), {}, "15 instants per cycle; at least 16"),
+        ((1.0, AREA), {}, "0 instants per cycle"),
+        ((INFLOW, AREA[:, :4]), {"z": Z[:4]}, "at least 5 points"),
+        ((INFLOW, AREA), {"z": Z[::-1]}, "z must increase"),
+        ((INFLOW, AREA), {"z": np.full(41, np.nan)}, r"z\[0, 0\] is nan"),
+        ((INFLOW, AREA[:, 1:]), {}, r"area_undeformed must have the shape \(case, 41\)"),
+        ((INFLOW, AREA), {"period": 0.0}, "period must be a positive number"),
+        ((INFLOW, AREA), {"period": np.inf}, "period must be a positive number"),
+        ((INFLOW, -AREA), {}, "areas are positive"),
+        ((cases,), {"period": 1.0}, "not both"),
+        ((cases,), {"z": Z}, "not both"),
+    ):
+        with pytest.raises(InputError, match=message):
+            model.predict(*arguments, **options)
+
+
+def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):
+    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    model = PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
+    inputs = small_cases.inflow, small_cases.area_undeformed
+    for options in ({"z": small_cases.z}, {"period": 1.0}):
+        with pytest.raises(InputError, match="A model of the physics preset takes others"):
+            model.predict(*inputs, **options)
+    with pytest.raises(InputError, match="preset 'physics'"):
+        model.predict(*inputs, samples=2)
+    assert model.predict(*inputs).novelty is None
+
+
+# ---- novelty ---------------------------------------------------------------
+
+
+def scored(model, *inputs, **options):
+    """Score, and the text of the warning or None."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        score = model.predict(*inputs, **options).novelty
+    texts = [str(w.message) for w in caught if w.category is OutsideTrainingWarning]
+    assert len(texts) <= 1
+    return score, (texts or [None])[0]
+
+
+def test_training_cases_are_inside(model, cases):
+    score, text = scored(model, cases)
+    assert score.shape == (16,)
+    assert score.max() == pytest.approx(1.0)
+    assert (score > 0).all()
+    assert text is None
+    between = scored(model, (INFLOW[5] + INFLOW[6]) / 2, (AREA[5] + AREA[9]) / 2)
+    assert between[0][0] < 1
+
+
+def test_stronger_inflow_and_narrower_and_longer_vessels_are_outside(model):
+    inflow, narrower = INFLOW.copy(), AREA.copy()
+    inflow[14] = 1.5 * INFLOW[14]
+    narrower[3] = 0.8 * AREA[3]
+    for arguments, options, case, what in (
+        ((inflow, AREA), {}, 14, "inflow"),
+        ((INFLOW, narrower), {}, 3, "undeformed area"),
+    ):
+        score, text = scored(model, *arguments, **options)
+        assert list(np.flatnonzero(score > 1 + 1e-9)) == [case]
+        assert "1 of 16 cases lie outside" in text
+        assert f"case {case} with its {what} (score {score[case]:.2f}" in text
+    score, text = scored(model, INFLOW, AREA, z=1.3 * Z)
+    assert (score > 1).all()
+    assert "16 of 16" in text
+    assert "undeformed area" in text
+
+
+def test_warning_points_at_the_caller(model):
+    with pytest.warns(OutsideTrainingWarning) as caught:
+        model.predict(2 * INFLOW, AREA)
+    assert caught[0].filename == __file__
+
+
+def test_score_knows_nothing_of_the_grid():
+    novelty = Novelty.of(INFLOW, AREA, Z)
+    time = np.arange(100) / 100
+    fine = np.linspace(0, 4, 401)
+    wave = 1.4 * waves(time)[[1, 3]]
+    area = np.array([np.interp(fine, Z, s) for s in AREA[[0, 15]]])
+    of_inflow, of_area = novelty.score(wave, area, fine + 5)
+    expected, _ = novelty.score(1.4 * waves()[[1, 3]], AREA[[0, 15]], Z)
+    assert of_inflow == pytest.approx(expected, rel=1e-9)
+    # Profiles are interpolated linearly in the radius, here in the area.
+    assert of_area.max() == pytest.approx(1.0, abs=0.02)
+
+
+def test_single_training_case_has_an_inside():
+    novelty = Novelty.of(INFLOW[:1], AREA[:1], Z)
+    assert np.concatenate(novelty.score(INFLOW[:1], AREA[:1], Z)).max() < 1e-9
+    assert novelty.score(1.1 * INFLOW[:1], AREA[:1], Z)[0][0] > 1
+
+
+# ---- command line ------------------------------------------------------------
+
+
+def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, run_pcnde):
+    data, out = tmp_path / "cases.npz", tmp_path / "model.npz"
+    cases.save(data)
+    settings = tmp_path / "settings.json"
+    settings.write_text(json.dumps({"correction": SETTINGS}))
+    code, printed, _ = run_pcnde(
+        *("fit", data, "--preset", "physics", "--config", settings, "--engine", "jax"),
+        *("--split", "none", "--out", out),
+    )
+    assert code == 0
+    assert "pressure" in printed
+    assert [p.name for p in tmp_path.iterdir() if "checkpoint" in p.name] == []
+    assert same_numbers(PCNDE.load(out), model)
+    errors = tmp_path / "errors.json"
+    code, _, _ = run_pcnde("evaluate", out, data, "--split", "none", "--json", errors)
+    assert code == 0
+    pooled = json.loads(errors.read_text())["train"]
+    assert pooled == pytest.approx(dict(model.evaluate(cases).iloc[-1]), rel=1e-12)
+    time, result = np.arange(33) / 33, tmp_path / "result.csv"
+    for name, axis, at, rows in (
+        ("inflow", "time", time, waves(time)[[0, 3]]),
+        ("area", "z", Z, AREA[[0, 7]]),
+    ):
+        table = pd.DataFrame({axis: at, "a": rows[0], "b": rows[1]})
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    code, _, _ = run_pcnde(
+        *("predict", out, "--inflow", tmp_path / "inflow.csv", "--area", tmp_path / "area.csv"),
+        *("--out", result, "--samples", 8),
+    )
+    assert code == 0
+    expected = model.predict(waves(time)[[0, 3]], AREA[[0, 7]], samples=8)
+    found = pd.read_csv(result)
+    assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
+    deviation = expected.deviation()["pressure"].ravel()
+    assert np.allclose(found["pressure_deviation"], deviation, rtol=1e-6)
+
+
+def test_julia_on_the_command_line_is_an_error_with_advice(cases, tmp_path, run_pcnde):
+    cases.save(tmp_path / "cases.npz")
+    code, _, errors = run_pcnde(
+        *("fit", tmp_path / "cases.npz", "--preset", "physics", "--engine", "julia"),
+        *("--split", "none", "--out", tmp_path / "model.npz"),
+    )
+    assert code == 1
+    assert "engine='jax'" in errors
+    assert not (tmp_path / "model.npz").exists()
+
+
+# ---- the published cases -------------------------------------------------------
+
+
+@pytest.mark.data
+def test_published_cases_are_met_within_the_limits(published_cases):
+    train, test = published_cases.split("paper")
+    model = fitted(train, PHYSICS.replace(correction={"folds": 0}))
+    errors = model.evaluate(test).iloc[-1]
+    assert errors["flow"] <= 0.0055
+    assert errors["area"] <= 0.0025
+    assert errors["pressure"] <= 0.0065
