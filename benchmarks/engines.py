@@ -52,10 +52,16 @@ def main() -> None:
             print(f"{engine}: {done.stderr.strip().splitlines()[-1]}")
         else:
             results[engine] = json.loads(done.stdout.splitlines()[-1])
+    if not results:
+        raise SystemExit("no engine could be measured")
     rows = list(next(iter(results.values())))
-    print(f"{'':48}" + "".join(f"{engine:>12}" for engine in results))
+    both = len(results) == 2
+    heads = [*results, "julia/jax"] if both else list(results)
+    print(f"{'':48}" + "".join(f"{head:>12}" for head in heads))
     for row in rows:
-        print(f"{row:48}" + "".join(f"{result[row]:12.4g}" for result in results.values()))
+        values = [result[row] for result in results.values()]
+        ratio = f"{values[0] / values[1]:12.2f}" if both else ""
+        print(f"{row:48}" + "".join(f"{value:12.4g}" for value in values) + ratio)
 
 
 def read(data: str | None) -> Cases:
@@ -152,6 +158,9 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
 
         return run
 
+    began = time.perf_counter()
+    infer(train.n_cases)()
+    results["first inference, 81 cases, s"] = time.perf_counter() - began
     results["inference, 1 case alone, ms"] = 1e3 * timed(infer(1))[0]
     results["inference, per case of 81, ms"] = 1e3 * timed(infer(train.n_cases))[0] / train.n_cases
     # Linux counts kilobytes, macOS bytes.

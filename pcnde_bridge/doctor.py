@@ -69,7 +69,8 @@ def _julia() -> Finding:
         "offline" if status.offline else "online",
         f"threads {status.threads}, handles signals: {status.handle_signals}",
     ]
-    return Finding("engine julia", "; ".join(fact for fact in facts if fact), is_engine=True)
+    found = "; ".join(fact for fact in facts if fact)
+    return Finding("engine julia", found, status.warning, is_engine=True)
 
 
 def _data() -> Finding:

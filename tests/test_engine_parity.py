@@ -31,6 +31,7 @@ TIGHT = {"rtol": 1e-12, "atol": 1e-14, "max_steps": 4096}
 CONFIGS = {
     "paper": PAPER,
     "published-code": PUBLISHED_CODE,
+    "equal steps": PAPER.replace(flow={"steps": 12}),
     "other": PAPER.replace(
         flow={"hidden": (6, 5), "activation": "gelu", "first_step": 0.9, "loss": "sum"},
         fourier_area={"terms": 5},
@@ -148,6 +149,18 @@ def test_fits_take_the_same_path(engines, config, small_cases, problem, stage):
     assert julia.losses[-1] < julia.losses[0]
 
 
+@pytest.mark.parametrize("stage", ["flow", "spatial_pressure"])
+def test_a_line_search_that_fails_starts_anew_in_both(engines, small_cases, problem, stage):
+    # The first trial steps are far too long, and there is one more only.
+    config = PAPER.replace(optimiser={"max_backtracks": 1, "initial_step_norm": 1e3})
+    grid, pairs = problem
+    vector = getattr(some_parameters(config, small_cases), stage)
+    julia, jax = (getattr(e, stage).fit(vector, *pairs[stage], grid, config, 3) for e in engines)
+    np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
+    np.testing.assert_allclose(julia.parameters, jax.parameters, rtol=1e-6, atol=1e-9)
+    assert (julia.converged, julia.message) == (jax.converged, jax.message)
+
+
 def test_whole_models_agree(engines, config, small_cases, problem):
     grid, _ = problem
     config = config.replace(flow=TIGHT)
@@ -182,26 +195,65 @@ def test_first_batch_of_the_paper_takes_the_same_path(engines, published_cases):
     np.testing.assert_allclose(by_julia, by_jax, rtol=1e-6, atol=1e-9 * np.abs(by_jax).max())
 
 
-@pytest.mark.data
-def test_published_weights_give_the_published_errors(engines, published_folder, published_cases):
+@pytest.fixture(scope="module")
+def published_weights(published_folder):
     try:
-        weights = read_published_weights(published_folder)
+        return read_published_weights(published_folder)
     except PCNDEError as error:
         pytest.skip(str(error))
+
+
+def relative_error(found, truth):
+    return np.linalg.norm(found - truth) / np.linalg.norm(truth)
+
+
+@pytest.mark.data
+def test_published_weights_give_the_published_errors(engines, published_weights, published_cases):
     cases = published_cases.split("paper").test
     config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
     grid = Grid(cases.time, cases.z, cases.period)
     by_julia, by_jax = (
+        engine.predict(published_weights, cases.inflow, cases.area_undeformed, grid, config)
+        for engine in engines
+    )
+    inside = np.s_[:, :, 5:-5]
+    assert relative_error(by_julia.flow, cases.flow) == pytest.approx(0.0076, abs=1e-4)
+    assert relative_error(by_julia.area[inside], cases.area[inside]) == pytest.approx(
+        0.0112, abs=1e-4
+    )
+    # The solves' tolerance, and round-off in the choice of steps, through three passes.
+    assert relative_error(by_julia.flow, by_jax.flow) < 1e-4
+    assert relative_error(by_julia.area, by_jax.area) < 1e-4
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("tolerances", "agreement"),
+    [
+        # S has a kink at every point, where a step's error is estimated too small, and the
+        # steps of two engines differ by round-off.  One flow solve is 3e-8 off at rtol 1e-10,
+        # and 3e-10 at 1e-12; where S is linear in z, or the steps are equal, the engines
+        # agree to round-off.
+        pytest.param({"rtol": 1e-12, "atol": 1e-14, "max_steps": 60_000}, 1e-8, id="tight"),
+        pytest.param({"rtol": 1e-3, "atol": 1e-6}, 1e-3, id="paper"),
+        pytest.param({"steps": 100}, 1e-12, id="equal steps"),
+    ],
+)
+def test_published_weights_predict_the_same(
+    engines, published_weights, published_cases, tolerances, agreement
+):
+    cases = published_cases.split("paper").test
+    config = PUBLISHED_CODE.replace(flow=tolerances)
+    grid = Grid(cases.time, cases.z, cases.period)
+    # The authors publish no weights for the pressure: some will do.
+    some = initial_parameters(config, cases.n_times, cases.n_points, seed=0)
+    weights = published_weights.replace(
+        temporal_pressure=some.temporal_pressure, spatial_pressure=some.spatial_pressure
+    )
+    by_julia, by_jax = (
         engine.predict(weights, cases.inflow, cases.area_undeformed, grid, config)
         for engine in engines
     )
-
-    def error(found, truth):
-        return np.linalg.norm(found - truth) / np.linalg.norm(truth)
-
-    inside = np.s_[:, :, 5:-5]
-    assert error(by_julia.flow, cases.flow) == pytest.approx(0.0076, abs=1e-4)
-    assert error(by_julia.area[inside], cases.area[inside]) == pytest.approx(0.0112, abs=1e-4)
-    # The solves' tolerance, and round-off in the choice of steps, through three passes.
-    assert error(by_julia.flow, by_jax.flow) < 1e-4
-    assert error(by_julia.area, by_jax.area) < 1e-4
+    for name in ("flow", "area", "pressure"):
+        found, expected = getattr(by_julia, name), getattr(by_jax, name)
+        assert relative_error(found, expected) < agreement, name

@@ -5,21 +5,26 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import pickle
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pcnde_bridge.config import PAPER
+from pcnde_bridge.doctor import examine
 from pcnde_bridge.engines import julia
 from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs, Grid
 from pcnde_bridge.engines.julia import (
     JuliaEngine,
+    JuliaStatus,
     julia_settings_file,
     julia_sources,
     julia_status,
@@ -66,7 +71,7 @@ def fake_project(folder: Path, *packages: str) -> Path:
     project = folder / "project"
     project.mkdir()
     entries = [
-        f'[[deps.{name}]]\nuuid = "x"\nversion = "0.1.{i}"\n' for i, name in enumerate(packages)
+        f'[[deps.{name}]]\nuuid = "x"\nversion = "0.2.{i}"\n' for i, name in enumerate(packages)
     ]
     (project / "Manifest.toml").write_text("\n".join(entries))
     return project
@@ -87,13 +92,82 @@ def test_the_users_file_names_julia(bare):
     status = julia_status()
     assert status.usable and status.source == "file"
     assert (status.executable, status.project, status.version) == (program, project, "1.10.8")
-    assert status.packages == {"PCNDECore": "0.1.0", "PythonCall": "0.1.1"}
+    assert status.packages == {"PCNDECore": "0.2.0", "PythonCall": "0.2.1"}
     assert not status.precompiled and "not precompiled" in status.message
     assert (status.threads, status.handle_signals) == ("1", "no")
     cache = bare / "compiled" / "v1.10" / "PCNDECore"
     cache.mkdir(parents=True)
     (cache / "x.ji").touch()
     assert julia_status().precompiled
+
+
+def core_by_path(bare: Path, sources: Path) -> JuliaStatus:
+    """Status with a project that has PCNDECore by path, listed with an outdated version."""
+    project = fake_project(bare, "PythonCall")
+    with (project / "Manifest.toml").open("a") as file:
+        file.write(f'\n[[deps.PCNDECore]]\npath = {json.dumps(str(sources))}\nversion = "0.0.1"\n')
+    settings_file(executable=str(fake_julia(bare)), project=str(project))
+    return julia_status()
+
+
+def test_the_core_of_a_project_is_compared_with_ours(bare):
+    status = core_by_path(bare, julia_sources())
+    assert status.usable and status.warning == ""
+    assert f'version = "{status.packages["PCNDECore"]}"' in (
+        (julia_sources() / "Project.toml").read_text()
+    )
+
+
+def test_another_core_is_named(bare):
+    copy = shutil.copytree(julia_sources(), bare / "copy")
+    (copy / "src" / "fit.jl").write_text("# otherwise\n")
+    status = core_by_path(bare, copy)
+    assert status.usable and str(copy) in status.warning and "differs" in status.warning
+    (finding,) = (f for f in examine() if f.what == "engine julia")
+    assert finding.good and finding.advice == status.warning
+
+
+def test_a_core_that_does_not_fit_is_refused(bare):
+    copy = shutil.copytree(julia_sources(), bare / "copy")
+    (copy / "Project.toml").write_text('version = "0.1.9"\n')
+    status = core_by_path(bare, copy)
+    assert not status.usable and "PCNDECore 0.1.9" in status.message
+    assert str(copy) in status.message and "Pkg.develop" in status.message
+    with pytest.raises(EngineUnavailableError, match=r"0\.1\.9"):
+        julia._start()
+
+
+@pytest.mark.parametrize(
+    ("version", "other", "fits"),
+    [("0.2.0", "0.2.7", True), ("0.2.0", "0.3.0", False), ("1.2", "1.9", True), ("1", "2", False)],
+)
+def test_versions_fit_as_julia_counts(version, other, fits):
+    assert julia._compatible(version, other) is fits
+
+
+def test_signals_follow_the_threads(bare, monkeypatch):
+    settings_file(
+        executable=str(fake_julia(bare)),
+        project=str(fake_project(bare, "PCNDECore", "PythonCall")),
+    )
+    for name in ("JULIA_NUM_THREADS", "PYTHON_JULIACALL_THREADS"):
+        monkeypatch.setenv(name, "2")
+        status = julia_status()
+        assert (status.threads, status.handle_signals) == ("2", "yes")
+    # What would die of Julia's own signals does not start.
+    monkeypatch.setenv("PYTHON_JULIACALL_HANDLE_SIGNALS", "no")
+    with pytest.raises(EngineUnavailableError, match="2 threads must handle signals"):
+        julia._start()
+
+
+def test_a_julia_that_may_crash_is_warned_of(monkeypatch):
+    monkeypatch.setattr(julia, "_warned", False)
+    status = JuliaStatus(True, False, "", "running", threads="2", handle_signals="no")
+    with pytest.warns(RuntimeWarning, match="2 threads"):
+        julia._warn_if_foreign(status)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        julia._warn_if_foreign(status)  # once
 
 
 def test_variables_come_before_the_file(bare, monkeypatch):
@@ -225,6 +299,24 @@ def test_a_case_does_not_depend_on_its_neighbours(engine, flow_problem):
 
 
 @marked
+def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
+    vector, inputs, target, grid, config = flow_problem
+    chosen = np.arange(len(target)) % 3 == 1
+    objective = engine.flow.objective(inputs, target, chosen, grid, config)
+    some = FlowInputs(inputs.inflow[chosen], inputs.area[chosen])
+    loss, gradient = engine.flow.loss_and_gradient(vector, some, target[chosen], grid, config)
+    found, by_objective = objective(vector)
+    assert found == loss
+    np.testing.assert_array_equal(by_objective, gradient)
+
+
+@marked
+def test_the_physics_preset_is_left_to_jax(engine):
+    with pytest.raises(EngineUnavailableError, match="JAX engine only"):
+        _ = engine.closures
+
+
+@marked
 def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     broken = np.full_like(vector, np.nan)
@@ -301,13 +393,20 @@ def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
     np.testing.assert_array_equal(found, engine.flow.solve(vector, inputs, grid, config))
 
 
-def run(code: str, **variables: str) -> subprocess.CompletedProcess[str]:
+def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run code in a fresh Python, which does not inherit what this one's engine has set."""
-    ours = julia._JULIACALL_SETTINGS
+    ours = julia._juliacall_settings()
     environment = {k: v for k, v in os.environ.items() if k not in ours} | variables
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        input=input,
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        timeout=600,
     )
+    done.stdout, done.stderr = done.stdout.decode(), done.stderr.decode()
+    return done
 
 
 @marked
@@ -329,16 +428,15 @@ def test_it_works_after_jax_and_leaves_main_alone():
 
 
 @marked
-@pytest.mark.parametrize("signals", ["yes", "no"])
-def test_a_julia_started_by_another_package_is_used_with_a_warning(signals):
+def test_a_julia_started_by_another_package_is_used():
     if _STATUS.source == "juliapkg":
         pytest.skip("the other package would start Julia elsewhere")
     done = run(
-        "import warnings; warnings.simplefilter('always')\n"
+        "import warnings; warnings.simplefilter('error', RuntimeWarning)\n"
         "from pcnde_bridge.engines import julia\n"
         "choice = julia._choice()\n"
         "import os; os.environ.update(choice.environment)\n"
-        f"os.environ['PYTHON_JULIACALL_HANDLE_SIGNALS'] = '{signals}'\n"
+        "os.environ['PYTHON_JULIACALL_HANDLE_SIGNALS'] = 'yes'\n"
         "os.environ['PYTHON_JULIACALL_EXE'] = choice.executable\n"
         "os.environ['PYTHON_JULIACALL_PROJECT'] = choice.project\n"
         "import juliacall\n"
@@ -346,20 +444,74 @@ def test_a_julia_started_by_another_package_is_used_with_a_warning(signals):
         "print(julia.julia_status())\n"
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("RuntimeWarning") == (1 if signals == "yes" else 0)
-    assert f"handle_signals='{signals}'" in done.stdout
+    assert "handle_signals='yes'" in done.stdout
+
+
+_THREADED = """
+import gc, pickle, sys, threading, time
+import numpy as np
+from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+inputs, parameters = pickle.loads(sys.stdin.buffer.read())
+engine = JuliaEngine()
+print(julia_status())
+import juliacall
+collect = juliacall.Main.seval("GC.gc")
+stop = threading.Event()
+def beside():
+    while not stop.is_set():
+        gc.collect(0)
+        time.sleep(0.01)
+thread = threading.Thread(target=beside)
+thread.start()
+for _ in range(10):
+    found = engine.predict(parameters, *inputs)
+    collect(False)
+stop.set()
+thread.join()
+np.savez("found.npz", *found)
+"""
 
 
 @marked
-def test_the_users_settings_stay():
+def test_two_threads_give_the_same_beside_pythons_threads(
+    engine, flow_problem, small_cases, tmp_path
+):
+    cases = small_cases
+    parameters = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0)
+    inputs = (cases.inflow, cases.area_undeformed, *flow_problem[3:])
     done = run(
-        "from pcnde_bridge.engines.julia import JuliaEngine, julia_status\n"
-        "JuliaEngine(); print(julia_status())",
-        PYTHON_JULIACALL_HANDLE_SIGNALS="yes",
+        _THREADED,
+        input=pickle.dumps((inputs, parameters)),
+        cwd=tmp_path,
         JULIA_NUM_THREADS="2",
     )
     assert done.returncode == 0, done.stderr
     assert "threads='2', handle_signals='yes'" in done.stdout
+    expected = engine.predict(parameters, *inputs)
+    with np.load(tmp_path / "found.npz") as found:
+        for name, array in zip(found.files, expected, strict=True):
+            np.testing.assert_array_equal(found[name], array)
+
+
+@marked
+def test_another_thread_is_refused(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    with (
+        ThreadPoolExecutor(1) as pool,
+        pytest.raises(EngineError, match="in the thread that started it"),
+    ):
+        pool.submit(engine.flow.solve, vector, inputs, grid, config).result()
+
+
+@marked
+def test_an_error_holds_nothing_of_julias(engine, flow_problem):
+    vector, inputs, _, grid, config = flow_problem
+    with pytest.raises(EngineError) as caught:
+        engine.flow.solve(vector[:10], inputs, grid, config)
+    assert "Stacktrace" in str(caught.value.__cause__)
+    frame = caught.traceback[-1].frame.f_locals
+    kinds = {type(value).__module__ for value in (*frame.values(), *caught.value.args)}
+    assert "juliacall" not in kinds and caught.value.__context__ is None
 
 
 @marked

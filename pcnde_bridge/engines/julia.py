@@ -37,7 +37,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,14 +49,18 @@ from pcnde_bridge.engines.base import (
     FourierAreaInputs,
     Grid,
     IntermediateAreaInputs,
+    Mask,
+    Objective,
     OnIteration,
     Solution,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
-from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import Parameters
+
+if TYPE_CHECKING:
+    from pcnde_bridge.engines.closures import Closures
 
 __all__ = ["JuliaEngine", "JuliaStatus", "julia_settings_file", "julia_sources", "julia_status"]
 
@@ -67,12 +71,11 @@ _EXECUTABLE, _PROJECT = "PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"
 _NEEDED = ("PCNDECore", "PythonCall")
 _OLDEST = (1, 10)
 
-# Set before Julia starts, unless the user has set them.
+_SIGNALS, _THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
+
+# Set before Julia starts, unless the user has set them; _juliacall_settings adds signals.
 _JULIACALL_SETTINGS = {
-    # Python keeps Ctrl-C: it is seen between two iterations, as KeyboardInterrupt.
-    "PYTHON_JULIACALL_HANDLE_SIGNALS": "no",
-    # With more threads Julia's garbage collector needs the signals that Python keeps.
-    "PYTHON_JULIACALL_THREADS": "1",
+    _THREADS: "1",
     "PYTHON_JULIACALL_STARTUP_FILE": "no",
     "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no",
 }
@@ -104,6 +107,8 @@ class JuliaStatus:
         Whether nothing may be downloaded.
     threads, handle_signals : str
         Settings that Julia starts, or has been started, with.
+    warning : str
+        What is odd although it can be used; empty if nothing is.
     """
 
     usable: bool
@@ -118,6 +123,7 @@ class JuliaStatus:
     offline: bool = False
     threads: str = "1"
     handle_signals: str = "no"
+    warning: str = ""
 
 
 def julia_settings_file() -> Path:
@@ -223,14 +229,18 @@ def _project_status(
     project: Path, environment: Mapping[str, str], facts: dict[str, Any]
 ) -> JuliaStatus:
     """Status once Julia itself is known to run."""
-    packages = _manifest_versions(project)
-    facts |= {"project": project, "packages": packages}
+    packages, core = _manifest(project)
+    facts |= {"project": project, "packages": packages, "warning": _other_core(core)}
     missing = [name for name in _NEEDED if name not in packages]
     if missing:
         message = (
             f"The Julia project {project} lacks {' and '.join(missing)}. Add what is missing "
             f"with: {_recipe(project)}"
         )
+        return JuliaStatus(False, False, message, **facts)
+    ours = _core_version(julia_sources()) or ""
+    if not _compatible(packages["PCNDECore"], ours):
+        message = _incompatible(packages["PCNDECore"], f"{core or project}", ours, project)
         return JuliaStatus(False, False, message, **facts)
     precompiled = _is_precompiled(facts["version"], environment)
     message = f"Julia {facts['version']} with PCNDECore {packages['PCNDECore']} is ready" + (
@@ -272,18 +282,27 @@ def _settings() -> dict[str, Any]:
         signals = signals if isinstance(signals, str) else ("yes" if signals else "no")
     else:
         wanted = {**_juliacall_settings(), **os.environ}
-        threads = wanted.get("PYTHON_JULIACALL_THREADS", os.environ.get("JULIA_NUM_THREADS", "1"))
-        signals = wanted["PYTHON_JULIACALL_HANDLE_SIGNALS"]
+        threads, signals = _threads(), wanted[_SIGNALS]
     offline = os.environ.get("PYTHON_JULIAPKG_OFFLINE") == "yes" or (
         os.environ.get("JULIA_PKG_OFFLINE", "").lower() == "true"
     )
     return {"threads": str(threads), "handle_signals": signals, "offline": offline}
 
 
+def _threads() -> str:
+    """Julia's threads, as the user wants them and juliacall reads it."""
+    return os.environ.get(_THREADS, os.environ.get("JULIA_NUM_THREADS", "1"))
+
+
 def _juliacall_settings() -> dict[str, str]:
     settings = dict(_JULIACALL_SETTINGS)
     if "JULIA_NUM_THREADS" in os.environ:
-        del settings["PYTHON_JULIACALL_THREADS"]
+        del settings[_THREADS]
+    # With one thread Julia needs no signals, and Python keeps them all. With more, a thread
+    # that collects garbage stops the others by letting them run into SIGSEGV on purpose:
+    # unless Julia handles that signal, the process dies of it (signal 11). The price is
+    # Ctrl-C, which Julia then takes from Python and does not act upon during a fit.
+    settings[_SIGNALS] = "no" if _threads() == "1" else "yes"
     return settings
 
 
@@ -299,19 +318,60 @@ def _julia_version(executable: str) -> str | None:
     return found[1] if found else None
 
 
-def _manifest_versions(project: Path) -> dict[str, str]:
-    """Versions of the packages that compute, from the project's manifest."""
+def _manifest(project: Path) -> tuple[dict[str, str], Path | None]:
+    """Versions of the packages that compute, and PCNDECore's folder if it has one of its own."""
     names = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
-    for file in sorted(project.glob("*Manifest*.toml")):
+    versions: dict[str, str] = {}
+    core = None
+    for file in sorted(project.glob("*Manifest*.toml"))[:1]:
         text = file.read_text(encoding="utf-8")
-        versions = {}
         for entry in re.split(r"^\[\[deps\.", text, flags=re.MULTILINE)[1:]:
             name = entry.partition("]]")[0]
-            version = re.search(r'^version = "([^"]+)"', entry, flags=re.MULTILINE)
+            version = _toml_text("version", entry)
             if name in names and version:
-                versions[name] = version[1]
-        return versions
-    return {}
+                versions[name] = version
+            path = _toml_text("path", entry)
+            if name == "PCNDECore" and path:
+                # The manifest keeps the version of the day on which it was written.
+                core = project / path
+                versions[name] = _core_version(core) or version or "missing"
+    return versions, core
+
+
+def _toml_text(key: str, toml: str) -> str | None:
+    """Value of the first line that sets a key to a text."""
+    found = re.search(rf'^{key} = "([^"]+)"', toml, flags=re.MULTILINE)
+    return json.loads(f'"{found[1]}"') if found else None
+
+
+def _core_version(folder: Path) -> str | None:
+    try:
+        return _toml_text("version", (folder / "Project.toml").read_text(encoding="utf-8"))
+    except OSError:
+        return None
+
+
+def _compatible(version: str, other: str) -> bool:
+    """As Julia counts it: up to the first number that is not zero."""
+    numbers, others = (re.findall(r"\d+", v) for v in (version, other))
+    significant = 1 if numbers[:1] != ["0"] else 2
+    return numbers[:significant] == others[:significant]
+
+
+def _other_core(folder: Path | None) -> str:
+    """Say that a project has another PCNDECore than this package's; empty if it does not."""
+    ours = julia_sources()
+    if folder is None or _contents(folder) == _contents(ours):
+        return ""
+    return (
+        f"The project has PCNDECore from {folder}, which differs from this package's {ours}: "
+        "the former runs."
+    )
+
+
+def _contents(package: Path) -> dict[str, bytes]:
+    files = [package / "Project.toml", *sorted((package / "src").glob("*.jl"))]
+    return {file.name: file.read_bytes() for file in files if file.is_file()}
 
 
 def _is_precompiled(version: str, environment: Mapping[str, str]) -> bool:
@@ -320,6 +380,13 @@ def _is_precompiled(version: str, environment: Mapping[str, str]) -> bool:
     major_minor = ".".join(version.split(".")[:2])
     caches = (Path(d) / "compiled" / f"v{major_minor}" / "PCNDECore" for d in folders)
     return any(any(cache.glob("*.ji")) for cache in caches)
+
+
+def _incompatible(version: str, where: str, ours: str, project: Path | str) -> str:
+    return (
+        f"The Julia project {project} has PCNDECore {version} ({where}), and pcnde_bridge needs "
+        f"{ours}. Bring it up to date with: {_recipe(project)}"
+    )
 
 
 def _recipe(project: Path | str) -> str:
@@ -345,7 +412,7 @@ class _Julia:
 
     def __init__(self) -> None:
         self._juliacall = _start()
-        self._process = os.getpid()
+        self._process, self._thread = os.getpid(), threading.get_ident()
         # A module of our own keeps the user's Main as it is.
         module = self._juliacall.newmodule("PCNDEBridge")
         try:
@@ -356,6 +423,10 @@ class _Julia:
                 f"{self._juliacall.CONFIG['project']}: {self._words(error)}. {_prepare()}"
             ) from error
         self._core = module.PCNDECore
+        found, ours = self.versions()["PCNDECore"], _core_version(julia_sources()) or ""
+        if not _compatible(found, ours):
+            project = str(self._juliacall.CONFIG["project"])
+            raise EngineUnavailableError(_incompatible(found, "running", ours, project))
         self._config = functools.lru_cache(maxsize=64)(self._new_config)
 
     def versions(self) -> dict[str, str]:
@@ -369,16 +440,25 @@ class _Julia:
                 "Julia does not survive a fork: start worker processes with the 'spawn' method "
                 '(multiprocessing.get_context("spawn")), and make the engine there.'
             )
+        if threading.get_ident() != self._thread:
+            raise EngineError(
+                "Julia answers only in the thread that started it: make and use the engine in "
+                'one thread, or take engine="jax", which any thread may use.'
+            )
         try:
             result = getattr(self._core, name)(*map(self._to_julia, arguments))
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
-            self._raise(error)
+            failure = self._failure(error)
+        # Raised here, so that it holds nothing of Julia's, which another thread might let go.
+        raise failure
 
     def _to_julia(self, value: Any) -> Any:
-        """Transpose: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
+        """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
-            return np.ascontiguousarray(value, dtype=np.float64).T
+            array = np.ascontiguousarray(value, dtype=np.float64)
+            # By its address, so that Julia need not compile for Python's types of arrays.
+            return self._core.from_python(array.ctypes.data, *reversed(array.shape))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
         if isinstance(value, PCNDEConfig):
@@ -404,13 +484,15 @@ class _Julia:
         ]
         return self._core.config("\n".join(lines))
 
-    def _raise(self, error: Any) -> NoReturn:
+    def _failure(self, error: Any) -> BaseException:
         kind = str(self._juliacall.Base.nameof(self._juliacall.Base.typeof(error.exception)))
         if kind == "InterruptException":
-            raise KeyboardInterrupt from None
+            return KeyboardInterrupt()
         if kind == "SolveError":
-            raise SolveError(self._words(error)) from None
-        raise EngineError(f"Julia failed: {self._words(error)}") from error
+            return SolveError(self._words(error))
+        failure = EngineError(f"Julia failed: {self._words(error)}")
+        failure.__cause__ = RuntimeError(str(error))  # with Julia's stack trace
+        return failure
 
     def _words(self, error: Any) -> str:
         """Julia's own message, without its stack trace."""
@@ -447,6 +529,11 @@ def _start() -> types.ModuleType:
         _warn_if_foreign(status)
     elif not (status.usable or status.installable):
         raise EngineUnavailableError(status.message)
+    elif status.threads != "1" and status.handle_signals == "no":
+        raise EngineUnavailableError(
+            f"Julia with {status.threads} threads must handle signals, or it dies of its own: "
+            f"unset {_SIGNALS}, or set {_THREADS}=1."
+        )
     else:
         for name, value in {**choice.environment, **_juliacall_settings()}.items():
             os.environ.setdefault(name, value)
@@ -473,19 +560,14 @@ def _last_line(error: Exception) -> str:
 
 
 def _warn_if_foreign(status: JuliaStatus) -> None:
-    """Warn, once, of another package's settings that change how the engine behaves."""
+    """Warn, once, of another package's settings that are not safe."""
     global _warned
-    differences = []
-    if status.handle_signals == "yes":
-        differences.append("it handles Ctrl-C itself, so that an interruption may end Python")
-    if status.threads != "1":
-        differences.append(f"it has {status.threads} threads, which may crash beside Python")
-    if differences and not _warned:
+    if status.threads != "1" and status.handle_signals == "no" and not _warned:
         _warned = True
         warnings.warn(
-            f"Julia was already started by another package: {' and '.join(differences)}. Make the "
-            "pcnde_bridge engine first, or set PYTHON_JULIACALL_HANDLE_SIGNALS=no and "
-            "PYTHON_JULIACALL_THREADS=1.",
+            f"Julia was already started by another package with {status.threads} threads but "
+            "without its signals, and may crash. Make the pcnde_bridge engine first, or set "
+            f"{_SIGNALS}=yes.",
             RuntimeWarning,
             stacklevel=5,
         )
@@ -523,6 +605,22 @@ class JuliaStage(Generic[InputsT]):
             config,
         )
         return float(loss), gradient
+
+    def objective(
+        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+    ) -> Objective:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        chosen_inputs = dataclasses.replace(
+            inputs,  # type: ignore[type-var]
+            **{f.name: getattr(inputs, f.name)[chosen] for f in fields(inputs)},  # type: ignore[arg-type]
+        )
+        chosen_target = target[chosen]
+
+        def evaluate(parameters: Array) -> tuple[float, Array]:
+            # Nothing of Julia's is kept, which another thread might let go.
+            return self.loss_and_gradient(parameters, chosen_inputs, chosen_target, grid, config)
+
+        return evaluate
 
     def fit(
         self,
@@ -592,12 +690,35 @@ class JuliaEngine:
         config: PCNDEConfig,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.base.Engine`."""
-        return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
+        flow, area, pressure = self._julia.call(
+            "predict",
+            tuple(vector for _, vector in parameters),
+            inflow,
+            area_undeformed,
+            grid.z,
+            float(grid.period),
+            config.coupling_passes,
+            config,
+        )
+        return Solution(flow, area, pressure)
 
     @property
     def versions(self) -> Mapping[str, str]:
         """Versions of Julia and the packages that compute."""
         return self._julia.versions()
+
+    @property
+    def closures(self) -> Closures:
+        """What the ``physics`` preset needs, which Julia does not compute.
+
+        Raises
+        ------
+        EngineUnavailableError
+            Always.
+        """
+        raise EngineUnavailableError(
+            "The physics preset is computed by the JAX engine only; use engine='jax' or 'auto'."
+        )
 
 
 def _arrays(inputs: Any) -> tuple[Array, ...]:

@@ -1,12 +1,13 @@
 # How the gradient of the flow loss was chosen: our discrete adjoint beside the suite's
 # own ways, on one batch of the paper's size (12 cases, 100 instants, 101 points).
 #
-# Needs SciMLSensitivity, Zygote and ForwardDiff in the environment, which PCNDECore
+# ForwardDiffSensitivity is left out: with 2724 parameters one gradient takes minutes.
+# Needs SciMLSensitivity and Zygote in the environment, which PCNDECore
 # itself does not: julia --project=… benchmark/adjoints.jl
 
 using PCNDECore
 using PCNDECore: FlowProblem, FlowStage, StepControl, value!, value_and_gradient!
-using ForwardDiff, SciMLSensitivity, Zygote
+using SciMLSensitivity, Zygote
 using LinearAlgebra
 using OrdinaryDiffEqTsit5: ODEProblem, Tsit5
 using Random: MersenneTwister
@@ -15,14 +16,19 @@ using SciMLBase: solve
 """
 The network as a plain function of a flat parameter vector, for automatic differentiation.
 """
-function network(p, x, widths)
-    at = 0
+function network(p, q, s, widths)
+    at, x = 0, q
     for i in 1:(length(widths) - 1)
         n_in, n_out = widths[i], widths[i + 1]
         weight = reshape(p[(at + 1):(at + n_in * n_out)], n_out, n_in)
         at += n_in * n_out
-        x = weight * x .+ p[(at + 1):(at + n_out)]
+        bias = p[(at + 1):(at + n_out)]
         at += n_out
+        # Flow and area apart: ReverseDiff does not stack what it tracks and what it does not.
+        n = size(q, 1)
+        x =
+            i > 1 ? weight * x .+ bias :
+            weight[:, 1:n] * q .+ weight[:, (n + 1):end] * s .+ bias
         if i < length(widths) - 1
             x = tanh.(x)
         end
@@ -38,14 +44,16 @@ Print the time and the deviation of each way to the gradient; arrays as of `Flow
 function compare(inflow, area, target, z, parameters; stage = FlowStage())
     n_times = size(inflow, 1)
     widths = [2 * n_times; stage.hidden; n_times]
-    truth = permutedims(target, (2, 3, 1))
+    truth = reshape(permutedims(target, (2, 3, 1)), :, length(z))
+    # The state is a vector and the position of any type: ReverseDiff needs both.
     function f(q, p, position)
-        i, share = PCNDECore.interval(z, position)
+        i = clamp(searchsortedlast(z, position), 1, length(z) - 1)
+        share = (position - z[i]) / (z[i + 1] - z[i])
         s = (1 - share) .* area[i, :, :] .+ share .* area[i + 1, :, :]
-        return network(p, [q; s], widths)
+        return vec(network(p, reshape(q, n_times, :), s, widths))
     end
     function loss(p, sensealg)
-        equation = ODEProblem{false}(f, inflow, (z[1], z[end]), p)
+        equation = ODEProblem{false}(f, vec(inflow), (z[1], z[end]), p)
         solution = solve(
             equation, Tsit5();
             dt = z[2] - z[1], reltol = stage.rtol, abstol = stage.atol,
@@ -66,19 +74,23 @@ function compare(inflow, area, target, z, parameters; stage = FlowStage())
     report("discrete adjoint, preallocated VJP", seconds, gradient)
     zygote = ZygoteVJP()
     for (name, sensealg) in (
-            "GaussAdjoint, Zygote" => GaussAdjoint(autojacvec = zygote),
-            "InterpolatingAdjoint, Zygote" => InterpolatingAdjoint(autojacvec = zygote),
-            "QuadratureAdjoint, Zygote" => QuadratureAdjoint(autojacvec = zygote),
-            "InterpolatingAdjoint, ReverseDiff" =>
-                InterpolatingAdjoint(autojacvec = ReverseDiffVJP()),
-        )
+        "GaussAdjoint, Zygote" => GaussAdjoint(autojacvec = zygote),
+        "InterpolatingAdjoint, Zygote" => InterpolatingAdjoint(autojacvec = zygote),
+        "QuadratureAdjoint, Zygote" => QuadratureAdjoint(autojacvec = zygote),
+        "InterpolatingAdjoint, ReverseDiff" =>
+            InterpolatingAdjoint(autojacvec = ReverseDiffVJP()),
+        "GaussAdjoint, ReverseDiff" => GaussAdjoint(autojacvec = ReverseDiffVJP()),
+        # Discretise, then optimise: through the solver's own steps.
+        "ReverseDiffAdjoint" => ReverseDiffAdjoint(),
+    )
         try
             run() = only(Zygote.gradient(p -> loss(p, sensealg), parameters))
             gradient = run()
-            report(name, best(run; times = 3), gradient)
+            report(name, best(run; times = 2), gradient)
         catch error
             println(rpad(name, 44), " fails: ", first(sprint(showerror, error), 100))
         end
+        flush(stdout)
     end
     return nothing
 end
@@ -103,7 +115,7 @@ if abspath(PROGRAM_FILE) == @__FILE__
         [
             [
                 sqrt(6 / (widths[i] + widths[i + 1])) .*
-                    (2 .* rand(rng, widths[i] * widths[i + 1]) .- 1)
+                (2 .* rand(rng, widths[i] * widths[i + 1]) .- 1)
                 zeros(widths[i + 1])
             ] for i in 1:5
         ],

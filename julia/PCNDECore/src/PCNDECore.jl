@@ -14,12 +14,13 @@ Five stages, each of which can be solved, judged and fitted:
 | constant–tanh–constant pressure in z     | `spatial_pressure.jl`  |
 
 Every array is float64 with the indices (z, time, case), in CGS units; every
-stage's parameters are one flat vector. `bridge.jl` holds what Python calls.
+stage's parameters are one flat vector. `predict.jl` runs all stages of a trained model,
+`bridge.jl` holds what Python calls.
 """
 module PCNDECore
 
-using LinearAlgebra: LinearAlgebra, Adjoint, BLAS, axpy!, dot, mul!, norm, rmul!
-using LineSearches: BackTracking
+using LinearAlgebra: LinearAlgebra, Adjoint, axpy!, dot, mul!, norm, rmul!
+using LineSearches: BackTracking, LineSearchException
 using Lux: Lux, Chain, Dense
 using NLSolversBase: NLSolversBase, OnceDifferentiable
 using NNlib: NNlib
@@ -37,6 +38,7 @@ include("network.jl")
 include("step_control.jl")
 include("tableau.jl")
 include("objective.jl")
+include("over_cases.jl")
 include("flow_gradient_room.jl")
 include("flow.jl")
 include("flow_gradient.jl")
@@ -47,6 +49,7 @@ include("fourier_area.jl")
 include("stenosis.jl")
 include("temporal_pressure.jl")
 include("spatial_pressure.jl")
+include("predict.jl")
 include("inverse_hessian.jl")
 include("fit.jl")
 include("bridge.jl")

@@ -9,22 +9,32 @@ left out, and what is not given keeps its default.
 """
 function config(toml::String)
     given = TOML.parse(toml)
-    groups = fields_from(given, Config) do type, group
-        type(; fields_from(setting, group, type)...)
-    end
-    return Config(; groups...)
+    default = Config()
+    groups = Any[
+        settings(getfield(default, name), get(given, string(name), Dict{String, Any}()))
+        for name in fieldnames(Config)
+    ]
+    return Config(groups...)
 end
 
-fields_from(convert_, given, type) = [
-    name => convert_(field, given[string(name)]) for
-    (name, field) in zip(fieldnames(type), fieldtypes(type)) if haskey(given, string(name))
-]
-
-setting(::Type{Vector{Int}}, value) = Vector{Int}(value)
-setting(_, value) = value
+function settings(default::T, given::Dict{String, Any}) where {T}
+    # Of no particular types, so that the compiler need not wait for what is given.
+    values = Any[get(given, string(name), getfield(default, name)) for name in fieldnames(T)]
+    return T(values...)
+end
 
 """
-    solve(stage, parameters, inputs, z, period, config)
+    from_python(address, shape...)
+
+A copy of Python's float64 array of that shape, in Julia's order of indices, as an `Array`
+whose memory does not depend on Python.
+"""
+function from_python(address::Int, shape::Int...)
+    return copy(unsafe_wrap(Array, Ptr{Float64}(address), shape))
+end
+
+"""
+    solve(stage, θ, inputs, z, period, config)
 
 A stage's result for every case on its own, (z, time, case).
 
@@ -32,51 +42,48 @@ A stage's result for every case on its own, (z, time, case).
 
   - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"` or
     `"spatial_pressure"`.
-  - `parameters`: flat vector.
+  - `θ`: parameters, flat vector.
   - `inputs`: the stage's arrays, in the order of the Python package's `engines.base`.
   - `z`, `period`: points, cm, and length of the cycle, s.
   - `config`: a [`Config`](@ref).
 """
-function solve(stage::String, parameters, inputs, z, period, config::Config)
-    θ, points, arrays = owned(parameters), owned(z), map(owned, inputs)
+function solve(stage::String, θ, inputs, z, period, config::Config)
     if stage == "flow"
-        inflow, area = arrays
-        return solve_flow(θ, inflow, area, points, config.flow)
+        return solve_flow(θ, inputs..., z, config.flow)
     elseif stage == "intermediate_area"
-        return solve_intermediate_area(θ, arrays..., period, points, config.intermediate_area)
+        return solve_intermediate_area(θ, inputs..., period, z, config.intermediate_area)
     elseif stage == "temporal_pressure"
-        return solve_temporal_pressure(θ, arrays..., config.physics, config.temporal_pressure)
+        return solve_temporal_pressure(θ, inputs..., config.physics, config.temporal_pressure)
     end
-    no_target = zero(first(arrays))
-    return solve(problem(stage, arrays, no_target, points, period, config), θ)
+    no_target = zero(first(inputs))
+    return solve(problem(stage, inputs, no_target, z, period, config), θ)
 end
 
 """
-    loss_and_gradient(stage, parameters, inputs, target, z, period, config)
+    loss_and_gradient(stage, θ, inputs, target, z, period, config)
 
 `(loss, gradient)` against `target` (z, time, case); the other arguments are those of
 [`solve`](@ref).
 """
-function loss_and_gradient(stage::String, parameters, inputs, target, z, period, config::Config)
-    θ = owned(parameters)
-    objective = problem(stage, map(owned, inputs), owned(target), owned(z), period, config)
+function loss_and_gradient(stage::String, θ, inputs, target, z, period, config::Config)
+    objective = problem(stage, inputs, target, z, period, config)
     gradient = similar(θ)
     loss = value_and_gradient!(gradient, objective, θ)
     return loss, gradient
 end
 
 """
-    fit(stage, parameters, inputs, target, z, period, config, iterations, on_iteration)
+    fit(stage, θ, inputs, target, z, period, config, iterations, on_iteration)
 
-Minimise [`loss_and_gradient`](@ref) from `parameters`: `(parameters, losses, converged,
+Minimise [`loss_and_gradient`](@ref) from `θ`: `(parameters, losses, converged,
 message)` as of [`fit`](@ref).
 """
 function fit(
-        stage::String, parameters, inputs, target, z, period, config::Config, iterations,
-        on_iteration = nothing,
-    )
-    objective = problem(stage, map(owned, inputs), owned(target), owned(z), period, config)
-    result = fit(objective, owned(parameters), config.optimiser, iterations, on_iteration)
+    stage::String, θ, inputs, target, z, period, config::Config, iterations,
+    @nospecialize(on_iteration = nothing),
+)
+    objective = problem(stage, inputs, target, z, period, config)
+    result = fit(objective, θ, config.optimiser, iterations, on_iteration)
     return values(result)
 end
 
@@ -97,9 +104,6 @@ function problem(stage, inputs, target, z, period, config::Config)
     end
     throw(ArgumentError("there is no stage \"$stage\""))
 end
-
-# Python's memory may be strided, read-only, or gone when Python wants it back.
-owned(array::AbstractArray{Float64, N}) where {N} = Array{Float64, N}(array)
 
 """
     versions()

@@ -13,7 +13,9 @@ Base.showerror(io::IO, error::SolveError) = print(io, error.message)
     fit(objective, start, settings, iterations, on_iteration)
 
 Minimise an [`Objective`](@ref) by `Optim.BFGS` with the `BackTracking` line search,
-from a scaled identity as inverse Hessian.
+from a scaled identity as inverse Hessian. Where the line search finds no lower loss, the
+curvature is forgotten and the steepest descent tried once, as newer versions of
+Optim and the package's JAX engine do; Optim 2.0 alone would end the fit. See [`Restarting`](@ref).
 
 # Arguments
 
@@ -33,12 +35,12 @@ the start and after each iteration, and why the fit ended.
 `SolveError` if the loss or its gradient is not finite at the start.
 """
 function fit(
-        objective::Objective,
-        start::Vector{Float64},
-        settings::Optimiser,
-        iterations::Integer,
-        on_iteration = nothing,
-    )
+    objective::Objective,
+    start::Vector{Float64},
+    settings::Optimiser,
+    iterations::Integer,
+    @nospecialize(on_iteration = nothing),
+)
     differentiable = OnceDifferentiable(
         x -> value!(objective, x),
         (g, x) -> value_and_gradient!(g, objective, x),
@@ -46,16 +48,17 @@ function fit(
         start,
     )
     record = Record(copy(start), Float64[], on_iteration)
-    method = BFGS(;
-        linesearch = BackTracking(;
-            c_1 = settings.sufficient_decrease,
-            ρ_hi = settings.shrink_least,
-            ρ_lo = settings.shrink_most,
-            iterations = settings.max_backtracks,
-            order = 3,
-        ),
-        initial_invH = ScaledIdentity(settings.initial_step_norm, differentiable),
+    search = BackTracking(;
+        c_1 = settings.sufficient_decrease,
+        ρ_hi = settings.shrink_least,
+        ρ_lo = settings.shrink_most,
+        iterations = settings.max_backtracks,
+        order = 3,
     )
+    inverse_hessian = InverseHessian(1.0, length(start))
+    step_norm = settings.initial_step_norm
+    linesearch = Restarting(search, step_norm, differentiable, inverse_hessian, false)
+    method = BFGS(; linesearch, initial_invH = _ -> reset!(linesearch))
     options = Optim.Options(;
         iterations,
         g_abstol = settings.gradient_tolerance,
@@ -65,25 +68,61 @@ function fit(
     )
     result = Optim.optimize(differentiable, start, method, options)
     code = Optim.termination_code(result)
-    converged = code in CONVERGED
+    # Optim calls a failed search, which leaves the loss as it was, converged.
+    converged = code in CONVERGED && !linesearch.failed
     message = get(MESSAGES, code, "loss or gradient not finite")
+    linesearch.failed && (message = "line search found no lower loss")
     return (; record.parameters, record.losses, converged, message)
 end
 
 """
-    ScaledIdentity(step_norm, differentiable)
+    Restarting(search, step_norm, differentiable, inverse_hessian, failed)
 
-Optim's `initial_stepnorm`, for a matrix that is not dense: `step_norm / max|g|`·I at the
-last gradient. Like [`Record`](@ref), of the same type for every objective.
+A line search that, where `search` finds no lower loss, resets `inverse_hessian`, which must
+be the optimiser's own, and searches once more along the steepest descent. Like
+[`Record`](@ref), of the same type for every objective.
 """
-struct ScaledIdentity{D}
-    step_norm::Float64
-    differentiable::D
+mutable struct Restarting{L, D}
+    const search::L
+    const step_norm::Float64
+    const differentiable::D
+    const inverse_hessian::InverseHessian
+    failed::Bool
 end
 
-function (initial::ScaledIdentity)(x)
-    gradient = NLSolversBase.gradient(initial.differentiable)
-    return InverseHessian(initial.step_norm / norm(gradient, Inf), length(x))
+# Optim's arguments; Optim takes the direction `s` as this leaves it.
+function (line::Restarting)(objective, x, s, step, room, loss, slope)
+    found = search(line, objective, x, s, step, room, loss, slope)
+    isnothing(found) || return found
+    reset!(line)
+    s .= .-NLSolversBase.gradient(line.differentiable)
+    found = search(line, objective, x, s, step, room, loss, -dot(s, s))
+    line.failed = isnothing(found)
+    line.failed && throw(LineSearchException("no lower loss", step))
+    return found
+end
+
+function search(line::Restarting, arguments...)
+    try
+        step, loss = line.search(arguments...)
+        return isfinite(loss) ? (step, loss) : nothing
+    catch error
+        error isa LineSearchException || rethrow()
+        return nothing
+    end
+end
+
+"""
+    reset!(line)
+
+The inverse Hessian as Optim's `initial_stepnorm` sets it, `step_norm / max|g|`·I at the last
+gradient.
+"""
+function reset!(line::Restarting)
+    gradient = NLSolversBase.gradient(line.differentiable)
+    scale = line.step_norm / norm(gradient, Inf)
+    line.inverse_hessian .= InverseHessian(scale, length(gradient))
+    return line.inverse_hessian
 end
 
 const CONVERGED = (
@@ -97,7 +136,6 @@ const MESSAGES = Dict(
     Optim.TerminationCode.NoXChange => "no change",
     Optim.TerminationCode.NoObjectiveChange => "no change",
     Optim.TerminationCode.Iterations => "all iterations done",
-    Optim.TerminationCode.FailedLinesearch => "line search found no lower loss",
 )
 
 """
@@ -118,8 +156,8 @@ function (record::Record)(state)
         throw(
             SolveError(
                 "The loss is not finite at the first parameters of the fit (loss " *
-                    "$(state.f_x)): the equation diverges there. Check the data's units, " *
-                    "or start from another seed.",
+                "$(state.f_x)): the equation diverges there. Check the data's units, " *
+                "or start from another seed.",
             ),
         )
     end

@@ -160,12 +160,12 @@ struct FlowProblem{F, I} <: Objective
 end
 
 function FlowProblem(
-        inflow::Matrix{Float64},
-        area::Array{Float64, 3},
-        target::Array{Float64, 3},
-        z::Vector{Float64},
-        stage::FlowStage,
-    )
+    inflow::Matrix{Float64},
+    area::Array{Float64, 3},
+    target::Array{Float64, 3},
+    z::Vector{Float64},
+    stage::FlowStage,
+)
     n_times, n_cases, n_points = size(inflow, 1), size(inflow, 2), length(z)
     widths = [2 * n_times; stage.hidden; n_times]
     network = Network(chain(widths, stage.activation))
@@ -183,18 +183,18 @@ function FlowProblem(
         inflow, network.matrices[end], stage.atol, stage.rtol,
         like_flow(), like_flow(), like_flow(), state, state,
     )
-    first_step = something(stage.first_step, z[2] - z[1])
     equation = ODEProblem{true, SciMLBase.FullSpecialize}(rate, state, (z[1], z[end]))
     integrator = init(
         equation,
         Tsit5();
-        dt = first_step,
+        dt = first_step(stage, z),
+        adaptive = isnothing(stage.steps),
         # The norm applies the tolerances itself, on Q.
         abstol = 1.0,
         reltol = 0.0,
         internalnorm = norm,
         controller = StepControl(),
-        maxiters = stage.max_steps,
+        maxiters = isnothing(stage.steps) ? stage.max_steps : typemax(Int),
         # A value that is not finite is an error like any other: the step shrinks.
         unstable_check = never,
         save_on = false,
@@ -226,6 +226,10 @@ end
 
 never(_...) = false
 
+first_step(stage::FlowStage, z) =
+    isnothing(stage.steps) ? something(stage.first_step, z[2] - z[1]) :
+    (z[end] - z[1]) / stage.steps
+
 function set_cases!(problem::FlowProblem, inflow, area, target)
     shape = (size(problem.inflow)..., length(problem.z))
     copyto!(problem.inflow, inflow)
@@ -242,13 +246,21 @@ Solve from the inlet to the outlet, keep the steps, and set the states at the gr
 points. Returns whether the solve came to its end.
 """
 function integrate!(problem::FlowProblem, parameters::AbstractVector{Float64})
-    (; network, rate, z, integrator, trajectory) = problem
-    load!(network, parameters)
+    load!(problem.network, parameters)
     first_layer_on_grid!(problem)
-    first_step = something(problem.stage.first_step, z[2] - z[1])
+    return march!(problem)
+end
+
+"""
+    march!(problem)
+
+What [`integrate!`](@ref) does once the network and its first layer on the grid are set.
+"""
+function march!(problem::FlowProblem)
+    (; stage, z, integrator, trajectory) = problem
     SciMLBase.reinit!(integrator; reset_dt = false)
-    SciMLBase.set_proposed_dt!(integrator, first_step)
-    integrator.dt = first_step
+    SciMLBase.set_proposed_dt!(integrator, first_step(stage, z))
+    integrator.dt = first_step(stage, z)
     trajectory.count = 0
     while integrator.t < z[end]
         SciMLBase.successful_retcode(step!(integrator)) || return false
@@ -342,28 +354,30 @@ As of [`FlowProblem`](@ref).
 `SolveError` if a case cannot be integrated.
 """
 function solve_flow(
-        parameters::Vector{Float64},
-        inflow::Matrix{Float64},
-        area::Array{Float64, 3},
-        z::Vector{Float64},
-        stage::FlowStage,
-    )
+    parameters::Vector{Float64},
+    inflow::Matrix{Float64},
+    area::Array{Float64, 3},
+    z::Vector{Float64},
+    stage::FlowStage,
+)
     flow = similar(area)
     n_points, n_times, n_cases = size(area)
     no_target = zeros(n_points, n_times, 1)
-    n_cases == 0 && return flow
-    problem = FlowProblem(inflow[:, 1:1], area[:, :, 1:1], no_target, z, stage)
-    for case in 1:n_cases
-        one = case:case
-        set_cases!(problem, view(inflow, :, one), view(area, :, :, one), no_target)
-        integrate!(problem, parameters) || throw(
-            SolveError(
-                "The equation could not be integrated for case $(case - 1): the step became " *
-                    "too small or a value not finite. Check the inflow's and area's units " *
-                    "(mL/s, cm²) and that they resemble the training data.",
-            ),
-        )
-        flow[:, :, case] .= residual!(problem)'
+    over_cases(n_cases) do cases
+        first = cases[1:1]
+        problem = FlowProblem(inflow[:, first], area[:, :, first], no_target, z, stage)
+        for case in cases
+            one = case:case
+            set_cases!(problem, view(inflow, :, one), @view(area[:, :, one]), no_target)
+            integrate!(problem, parameters) || throw(divergence(case))
+            flow[:, :, case] .= residual!(problem)'
+        end
     end
     return flow
 end
+
+divergence(case) = SolveError(
+    "The equation could not be integrated for case $(case - 1): the step became too small " *
+    "or a value not finite. Check the inflow's and area's units (mL/s, cm²) and that they " *
+    "resemble the training data.",
+)

@@ -21,7 +21,7 @@ function fourier_area_problem(flow, initial_area, target, period, z, stage::Four
     change = similar(flow)
     for case in axes(flow, 3)
         coefficients = slope_along_z(flow[:, :, case] * analysis, z)
-        mul!(view(change, :, :, case), coefficients, synthesis, -period, 0.0)
+        mul!(view(change,:,:,case), coefficients, synthesis, -period, 0.0)
     end
     # S − Ŝ(t=0) is zero at the first instant: the anchor holds there.
     change .-= change[:, 1:1, :]

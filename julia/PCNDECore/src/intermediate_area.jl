@@ -82,8 +82,8 @@ end
   - `z`: points, cm.
 """
 function solve_intermediate_area(
-        parameters, flow, area_undeformed, period, z, stage::IntermediateAreaStage
-    )
+    parameters, flow, area_undeformed, period, z, stage::IntermediateAreaStage,
+)
     n_points = length(z)
     a, b = parameters[1:n_points], parameters[(n_points + 1):end]
     spacing = period / size(flow, 2)
@@ -98,8 +98,8 @@ The last cycle's error as an [`Objective`](@ref). The equation is linear in (â,
 is integrated once, for â = 1 from zero, and no more in the fit.
 """
 function intermediate_area_problem(
-        flow, area_undeformed, target, period, z, stage::IntermediateAreaStage
-    )
+    flow, area_undeformed, target, period, z, stage::IntermediateAreaStage,
+)
     n_points, n_times, _ = size(flow)
     unit = [ones(n_points); zeros(n_points)]
     change = solve_intermediate_area(unit, flow, zero(area_undeformed), period, z, stage)

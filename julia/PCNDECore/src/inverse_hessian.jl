@@ -41,12 +41,12 @@ end
 
 # Optim's update: h += factor·a·bᵀ.
 function LinearAlgebra.mul!(
-        h::InverseHessian,
-        a::Vector{Float64},
-        b::Adjoint{Float64, Vector{Float64}},
-        factor::Number,
-        keep::Number,
-    )
+    h::InverseHessian,
+    a::Vector{Float64},
+    b::Adjoint{Float64, Vector{Float64}},
+    factor::Number,
+    keep::Number,
+)
     isone(keep) || throw(ArgumentError("an InverseHessian can only be added to"))
     push!(h.factors, factor)
     push!(h.left, copy(a))

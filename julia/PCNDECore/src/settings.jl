@@ -28,7 +28,8 @@ Base.@kwdef struct Optimiser
 end
 
 """
-Momentum equation; `first_step` in cm, `nothing` for the grid's first spacing.
+Momentum equation; `first_step` in cm, `nothing` for the grid's first spacing; `steps` equal
+steps in place of adaptive ones.
 """
 Base.@kwdef struct FlowStage
     hidden::Vector{Int} = [8, 8, 8, 8]
@@ -37,6 +38,7 @@ Base.@kwdef struct FlowStage
     atol::Float64 = 1e-6
     first_step::Union{Nothing, Float64} = nothing
     max_steps::Int = 256
+    steps::Union{Nothing, Int} = nothing
     loss::String = "mean"
 end
 
@@ -48,9 +50,11 @@ Base.@kwdef struct IntermediateAreaStage
 end
 
 """
-Periodic area; `frequency` and `sides` select the published code's variants.
+Periodic area; `anchor` says which of Ŝ's instants it starts from, `frequency` and `sides`
+select the published code's variants.
 """
 Base.@kwdef struct FourierAreaStage
+    anchor::String = "last_instant"
     terms::Int = 10
     frequency::String = "harmonic"
     sides::String = "two"

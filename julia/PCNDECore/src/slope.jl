@@ -8,8 +8,9 @@
   - `flow`: Q, mL/s, or anything linear in it, (z, …).
   - `z`: points, cm; the spacing may vary.
 """
-function slope_along_z(flow::Array{Float64}, z::Vector{Float64})
-    slope = similar(flow)
+slope_along_z(flow::Array{Float64}, z::Vector{Float64}) = slope_along_z!(similar(flow), flow, z)
+
+function slope_along_z!(slope::Array{Float64}, flow::Array{Float64}, z::Vector{Float64})
     n = length(z)
     columns = reshape(flow, n, :)
     result = reshape(slope, n, :)

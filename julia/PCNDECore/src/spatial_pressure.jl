@@ -19,6 +19,8 @@ of the flow through the stenosis, so that the outer parts are constant in z.
   - `z`: points, cm.
 """
 struct SpatialPressure <: Objective
+    physics::Physics
+    stenosis::Tuple{Int, Float64}   # the grid's interval that holds it, and the share before it
     mean::Matrix{Float64}       # of p̂* over z, (time, case)
     drop::Matrix{Float64}       # Δp/p_ref, (time, case)
     turbulent::Matrix{Float64}  # its derivative by K_t, (time, case)
@@ -30,35 +32,43 @@ struct SpatialPressure <: Objective
 end
 
 function SpatialPressure(
-        temporal, flow, area_undeformed, target, z, physics::Physics,
-        stage::SpatialPressureStage,
-    )
+    temporal, flow, area_undeformed, target, z, physics::Physics,
+    stage::SpatialPressureStage,
+)
     n_points, n_times, n_cases = size(flow)
-    mean, drop, turbulent = (zeros(n_times, n_cases) for _ in 1:3)
-    i, share = interval(z, clamp(physics.stenosis_position, z[1], z[end]))
-    for case in 1:n_cases
-        viscous, losses = drop_coefficients(area_undeformed[:, case], physics)
-        viscous, losses = (viscous, losses) ./ physics.reference_pressure
-        for t in 1:n_times
-            q = (1 - share) * flow[i, t, case] + share * flow[i + 1, t, case]
-            mean[t, case] = sum(view(temporal, :, t, case)) / n_points
-            turbulent[t, case] = losses * q * abs(q)
-            drop[t, case] = viscous * q + physics.turbulent_coefficient * turbulent[t, case]
-        end
-    end
     third = (z[end] - z[1]) / 3
     inside = clamp.(z, z[1] + third, z[1] + 2 * third)
     height = stage.form == "printed" ? Float64.(z .> z[1] + third) : fill(0.5, n_points)
-    return SpatialPressure(
-        mean,
-        drop,
-        turbulent,
+    problem = SpatialPressure(
+        physics,
+        interval(z, clamp(physics.stenosis_position, z[1], z[end])),
+        zeros(n_times, n_cases),
+        zeros(n_times, n_cases),
+        zeros(n_times, n_cases),
         inside .- physics.stenosis_position,
         height,
         target,
         zeros(n_points, n_times),
         zeros(n_points, n_times),
     )
+    return set_cases!(problem, temporal, flow, area_undeformed)
+end
+
+function set_cases!(problem::SpatialPressure, temporal, flow, area_undeformed)
+    (; physics, stenosis, mean, drop, turbulent) = problem
+    i, share = stenosis
+    n_points, n_times, n_cases = size(flow)
+    for case in 1:n_cases
+        coefficients = drop_coefficients(view(area_undeformed, :, case), physics)
+        viscous, losses = coefficients ./ physics.reference_pressure
+        @inbounds for t in 1:n_times
+            q = (1 - share) * flow[i, t, case] + share * flow[i + 1, t, case]
+            mean[t, case] = sum(view(temporal, :, t, case)) / n_points
+            turbulent[t, case] = losses * q * abs(q)
+            drop[t, case] = viscous * q + physics.turbulent_coefficient * turbulent[t, case]
+        end
+    end
+    return problem
 end
 
 function steps!(problem::SpatialPressure, parameters)
@@ -123,12 +133,25 @@ end
 p/p_ref, (z, time, case).
 """
 function solve(problem::SpatialPressure, parameters)
-    step = steps!(problem, parameters)
-    (; mean, drop, turbulent, target) = problem
-    n_times = size(step, 2)
-    b1 = view(parameters, 3:(2 + n_times))
-    level = mean .+ parameters[1]
-    fall = drop .+ parameters[2] .* turbulent .+ b1
-    over_z(a) = reshape(a, 1, size(a)...)
-    return over_z(level) .- over_z(fall) .* reshape(step, size(step)..., 1)
+    steps!(problem, parameters)
+    pressure = zeros(size(problem.step)..., size(problem.mean, 2))
+    return after_steps!(pressure, problem, parameters)
+end
+
+"""
+    after_steps!(pressure, problem, parameters)
+
+What [`solve`](@ref) does once `steps!` has been called, which needs no case.
+"""
+function after_steps!(pressure, problem::SpatialPressure, parameters)
+    (; mean, drop, turbulent, step) = problem
+    n_points, n_times, n_cases = size(pressure)
+    @inbounds for case in 1:n_cases, t in 1:n_times
+        level = mean[t, case] + parameters[1]
+        fall = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
+        @simd ivdep for i in 1:n_points
+            pressure[i, t, case] = level - fall * step[i, t]
+        end
+    end
+    return pressure
 end

@@ -21,8 +21,8 @@ mutable struct StepControlCache <: OrdinaryDiffEqCore.AbstractControllerCache
 end
 
 function OrdinaryDiffEqCore.setup_controller_cache(
-        alg, cache, ::StepControl, ::Type{E}, disco_probs
-    ) where {E}
+    alg, cache, ::StepControl, ::Type{E}, disco_probs,
+) where {E}
     return StepControlCache(1.0, FIRST_ERROR)
 end
 
@@ -44,8 +44,8 @@ function OrdinaryDiffEqCore.step_reject_controller!(integrator, cache::StepContr
 end
 
 function OrdinaryDiffEqCore.reinit_controller!(
-        integrator::SciMLBase.DEIntegrator, cache::StepControlCache
-    )
+    integrator::SciMLBase.DEIntegrator, cache::StepControlCache,
+)
     cache.EEst, cache.previous = 1.0, FIRST_ERROR
     return nothing
 end

@@ -23,40 +23,47 @@ struct TemporalPressure{F} <: Objective
 end
 
 function TemporalPressure(
-        flow, area, area_undeformed, target, physics::Physics, stage::TemporalPressureStage
-    )
+    flow, area, area_undeformed, target, physics::Physics, stage::TemporalPressureStage,
+)
     n_points, n_times, n_cases = size(flow)
     network = Network(chain([4 * n_points; stage.hidden; n_points], stage.activation))
     columns = n_times * n_cases
-    inputs = ones(4 * n_points + 1, n_times, n_cases)
-    stiffness = zeros(n_times, n_cases)
-    drop_scale =
-        stage.pressure_drop_input == "normalised" ? 1 / physics.reference_pressure : 1.0
-    for case in 1:n_cases
-        start = area_undeformed[:, case]
-        viscous, turbulent = drop_coefficients(start, physics)
-        k_t = physics.turbulent_coefficient
-        radius = sqrt(first(start) / π)
-        wall = physics.young_modulus * physics.wall_thickness / radius
-        stiffness[:, case] .= wall / physics.reference_pressure
-        for t in 1:n_times, i in 1:n_points
-            q, s = flow[i, t, case], area[i, t, case]
-            inputs[i, t, case] = s
-            inputs[n_points + i, t, case] = s - start[i]
-            inputs[2 * n_points + i, t, case] =
-                drop_scale * (viscous * q + k_t * turbulent * q * abs(q))
-            inputs[3 * n_points + i, t, case] = q
-        end
-    end
-    return TemporalPressure(
-        reshape(inputs, :, columns),
-        vec(stiffness),
+    problem = TemporalPressure(
+        ones(4 * n_points + 1, columns),
+        zeros(columns),
         reshape(target, n_points, columns),
         network,
         Activations(stage.hidden, columns),
         zeros(n_points, columns),
         [zeros(width, columns) for width in stage.hidden],
     )
+    return set_cases!(problem, flow, area, area_undeformed, physics, stage)
+end
+
+function set_cases!(problem::TemporalPressure, flow, area, area_undeformed, physics, stage)
+    n_points, n_times, n_cases = size(flow)
+    inputs = reshape(problem.inputs, :, n_times, n_cases)
+    stiffness = reshape(problem.stiffness, n_times, n_cases)
+    drop_scale =
+        stage.pressure_drop_input == "normalised" ? 1 / physics.reference_pressure : 1.0
+    for case in 1:n_cases
+        start = view(area_undeformed, :, case)
+        viscous, turbulent = drop_scale .* drop_coefficients(start, physics)
+        turbulent *= physics.turbulent_coefficient
+        radius = sqrt(first(start) / π)
+        wall = physics.young_modulus * physics.wall_thickness / radius
+        stiffness[:, case] .= wall / physics.reference_pressure
+        @inbounds for t in 1:n_times
+            @simd ivdep for i in 1:n_points
+                q, s = flow[i, t, case], area[i, t, case]
+                inputs[i, t, case] = s
+                inputs[n_points + i, t, case] = s - start[i]
+                inputs[2 * n_points + i, t, case] = viscous * q + turbulent * q * abs(q)
+                inputs[3 * n_points + i, t, case] = q
+            end
+        end
+    end
+    return problem
 end
 
 """
@@ -65,8 +72,12 @@ end
 p̂/p_ref − target, (z, time·case).
 """
 function residual!(problem::TemporalPressure, parameters)
+    load!(problem.network, parameters)
+    return residual!(problem)
+end
+
+function residual!(problem::TemporalPressure)
     (; inputs, stiffness, target, network, activations, residual) = problem
-    load!(network, parameters)
     mul!(activations.before[1], network.matrices[1], inputs)
     forward!(activations, network, size(inputs, 2))
     mul!(residual, network.matrices[end], activations.after[end])
@@ -107,8 +118,8 @@ end
 p̂/p_ref, (z, time, case); arguments as of [`TemporalPressure`](@ref).
 """
 function solve_temporal_pressure(
-        parameters, flow, area, area_undeformed, physics::Physics, stage::TemporalPressureStage
-    )
+    parameters, flow, area, area_undeformed, physics::Physics, stage::TemporalPressureStage,
+)
     zero_target = zero(flow)
     problem = TemporalPressure(flow, area, area_undeformed, zero_target, physics, stage)
     return reshape(residual!(problem, parameters), size(flow))

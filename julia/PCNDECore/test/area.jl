@@ -34,12 +34,16 @@ end
     integral = (5 .+ cos.(2π .* t) .- 3 .* sin.(6π .* t))' * analysis * synthesis
     @test vec(integral) ≈ sin.(2π .* t) ./ 2π .+ cos.(6π .* t) ./ 2π atol = 1e-14
     rng = MersenneTwister(1)
-    for stage in (FourierAreaStage(terms = 8), FourierAreaStage(terms = 8, sides = "one", frequency = "next"))
-        problem = fourier_area_problem(data.flow, data.area_undeformed, data.area, 0.8, z, stage)
+    for stage in (
+        FourierAreaStage(terms = 8),
+        FourierAreaStage(terms = 8, sides = "one", frequency = "next"),
+    )
+        problem =
+            fourier_area_problem(data.flow, data.area_undeformed, data.area, 0.8, z, stage)
         parameters = rand(rng, 2 * n_points)
         @test solve(problem, [ones(n_points); zeros(n_points)])[:, 1, :] ≈ data.area_undeformed
         @test value!(problem, parameters) ≈
-            sum(abs2, solve(problem, parameters) .- data.area) / length(data.area)
+              sum(abs2, solve(problem, parameters) .- data.area) / length(data.area)
         check_gradient(problem, parameters; rtol = 1e-7)
     end
 end

@@ -4,10 +4,12 @@
     )
     @test config.flow.hidden == [3, 3] && config.flow.rtol == 1e-6
     @test config.physics == Physics()
+    area = GC.@preserve data PCNDECore.from_python(Int(pointer(data.area)), size(data.area)...)
+    @test area == data.area && area !== data.area
     parameters = glorot(flow_widths(config.flow), MersenneTwister(1))
-    inputs = (PermutedDimsArray(permutedims(data.inflow), (2, 1)), data.area)
+    inputs = (data.inflow, area)
     @test solve("flow", parameters, inputs, z, 1.0, config) ==
-        solve_flow(parameters, data.inflow, data.area, z, config.flow)
+          solve_flow(parameters, data.inflow, data.area, z, config.flow)
     loss, gradient =
         PCNDECore.loss_and_gradient("flow", parameters, inputs, data.flow, z, 1.0, config)
     fitted, losses, converged, message =

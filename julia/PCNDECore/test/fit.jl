@@ -2,12 +2,21 @@ struct Quartic <: Objective
     centre::Vector{Float64}
 end
 
-PCNDECore.value!(q::Quartic, x) = x[1] > 3 ? NaN : sum(abs2, (x .- q.centre) .^ 2) + sum(abs2, x)
+PCNDECore.value!(q::Quartic, x) =
+    x[1] > 3 ? NaN : sum(abs2, (x .- q.centre) .^ 2) + sum(abs2, x)
 
 function PCNDECore.value_and_gradient!(g, q::Quartic, x)
     g .= 4 .* (x .- q.centre) .^ 3 .+ 2 .* x
     return value!(q, x)
 end
+
+"""
+Lower nowhere but where its gradient is taken.
+"""
+struct Wall <: Objective end
+
+PCNDECore.value!(::Wall, x) = Inf
+PCNDECore.value_and_gradient!(g, ::Wall, x) = (g .= 2 .* x; sum(abs2, x))
 
 """
 Optim's own dense BFGS with the same settings.
@@ -32,8 +41,8 @@ end
         )
         quartic = Quartic(collect(1.0:6))
         for (objective, start, iterations) in (
-                (quartic, fill(0.5, 6), 25), (network, glorot(widths, MersenneTwister(1)), 40),
-            )
+            (quartic, fill(0.5, 6), 25), (network, glorot(widths, MersenneTwister(1)), 40),
+        )
             result = fit(objective, start, Optimiser(), iterations)
             parameters, losses = dense_fit(objective, start, Optimiser(), iterations)
             @test result.losses ≈ losses rtol = 1e-10
@@ -63,6 +72,17 @@ end
         h .= InverseHessian(2.0, 4)
         @test Matrix(h) == 2I
     end
+    @testset "a line search that fails" begin
+        # The first step is a thousand times too long for one trial; the steepest descent's
+        # own length is not.
+        settings = Optimiser(max_backtracks = 1, initial_step_norm = 1e3)
+        result = fit(Quartic(fill(0.5, 2)), [0.3, 0.4], settings, 3)
+        @test length(result.losses) == 4 && issorted(result.losses; rev = true)
+        @test result.message == "all iterations done" && !result.converged
+        stuck = fit(Wall(), [1.0, 2.0], Optimiser(), 3)
+        @test stuck.losses == [5.0] && stuck.parameters == [1, 2]
+        @test stuck.message == "line search found no lower loss" && !stuck.converged
+    end
     @testset "ends" begin
         converged = fit(Quartic(zeros(2)), [1.0, 2.0], Optimiser(), 500)
         @test converged.converged && converged.message in ("gradient tolerance", "no change")
@@ -70,10 +90,17 @@ end
         far = Optimiser(initial_step_norm = 1e6)
         @test fit(Quartic(fill(-50.0, 2)), [2.9, 0.0], far, 10).losses[end] < 1e7
         seen = Tuple{Int, Float64}[]
-        result = fit(Quartic(ones(3)), zeros(3), Optimiser(), 4, (k, loss) -> push!(seen, (k, loss)))
+        result =
+            fit(Quartic(ones(3)), zeros(3), Optimiser(), 4, (k, loss) -> push!(seen, (k, loss)))
         @test first.(seen) == 1:4 && last.(seen) == result.losses[2:end]
         stop(k, _) = k == 2 && error("enough")
-        @test_throws ErrorException("enough") fit(Quartic(ones(3)), zeros(3), Optimiser(), 9, stop)
+        @test_throws ErrorException("enough") fit(
+            Quartic(ones(3)),
+            zeros(3),
+            Optimiser(),
+            9,
+            stop,
+        )
         @test_throws SolveError fit(Quartic(ones(3)), [4.0, 0, 0], Optimiser(), 9)
     end
 end

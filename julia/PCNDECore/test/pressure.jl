@@ -2,9 +2,9 @@
     target = 0.8 .+ 0.1 .* data.flow
     rng = MersenneTwister(1)
     for stage in (
-            TemporalPressureStage(), TemporalPressureStage(hidden = [3], activation = "gelu"),
-            TemporalPressureStage(pressure_drop_input = "dyn"),
-        )
+        TemporalPressureStage(), TemporalPressureStage(hidden = [3], activation = "gelu"),
+        TemporalPressureStage(pressure_drop_input = "dyn"),
+    )
         problem = TemporalPressure(
             data.flow, data.area, data.area_undeformed, target, Physics(), stage,
         )

@@ -42,7 +42,8 @@ glorot(widths, rng) = reduce(
     vcat,
     [
         [
-            sqrt(6 / (widths[i] + widths[i + 1])) .* (2 .* rand(rng, widths[i] * widths[i + 1]) .- 1)
+            sqrt(6 / (widths[i] + widths[i + 1])) .*
+            (2 .* rand(rng, widths[i] * widths[i + 1]) .- 1)
             0.1 .* randn(rng, widths[i + 1])
         ] for i in 1:(length(widths) - 1)
     ],
@@ -72,6 +73,7 @@ end
     include("area.jl")
     include("pressure.jl")
     include("fit.jl")
+    include("predict.jl")
     include("bridge.jl")
     include("hygiene.jl")
 end

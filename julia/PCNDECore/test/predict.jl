@@ -1,0 +1,65 @@
+"""
+What `predict` gives, stage by stage.
+"""
+function by_stages(parameters, period, passes, config)
+    run(k, stage, inputs...) = solve(stage, parameters[k], inputs, z, period, config)
+    start = data.area_undeformed
+    flow, area = data.flow, repeat(reshape(start, n_points, 1, n_cases), 1, n_times)
+    anchor = Dict("undeformed" => 1, "last_cycle" => 2 * n_times + 1)
+    for _ in 1:passes
+        flow = run(1, "flow", data.inflow, area)
+        intermediate = run(2, "intermediate_area", flow, start)
+        instant = get(anchor, config.fourier_area.anchor, 3 * n_times)
+        area = run(3, "fourier_area", flow, intermediate[:, instant, :])
+    end
+    temporal = run(4, "temporal_pressure", flow, area, start)
+    relative = run(5, "spatial_pressure", temporal, flow, start)
+    return flow, area, relative .* config.physics.reference_pressure
+end
+
+@testset "predict equals the stages, one after the other" begin
+    rng = MersenneTwister(1)
+    parameters = (
+        glorot(flow_widths(FlowStage()), rng), 0.01 .* randn(rng, 2 * n_points),
+        0.01 .* randn(rng, 2 * n_points),
+        0.1 .* glorot([4 * n_points, 2, 2, n_points], rng),
+        rand(rng, 2 + 2 * n_times),
+    )
+    run(cases, parameters, config) = PCNDECore.predict(
+        parameters, data.inflow[:, cases], data.area_undeformed[:, cases], z, 0.8, 3, config,
+    )
+    for anchor in ("undeformed", "last_cycle", "last_instant"),
+        form in ("continuous", "printed"),
+        # S has a kink at every point, where a step's error is estimated too small: solves
+        # whose adaptive steps differ by round-off differ by up to 100 times the tolerance.
+        # With the same steps only the round-off itself is left.
+        (flow, rtol) in ((FlowStage(; tight...), 1e-8), (FlowStage(steps = 13), 1e-12))
+
+        config = Config(;
+            flow,
+            fourier_area = FourierAreaStage(; anchor, terms = 8),
+            spatial_pressure = SpatialPressureStage(; form),
+        )
+        found = run(1:n_cases, parameters, config)
+        for (array, expected) in zip(found, by_stages(parameters, 0.8, 3, config))
+            @test array ≈ expected rtol = rtol
+        end
+        # A case does not depend on its neighbours.
+        @test all(run(2:2, parameters, config) .== map(a -> a[:, :, 2:2], found))
+    end
+    without = (parameters[1:3]..., Float64[], Float64[])
+    found, expected = (run(1:n_cases, θ, Config()) for θ in (without, parameters))
+    @test found[1:2] == expected[1:2] && found[3] === nothing
+    broken = (fill(NaN, length(parameters[1])), parameters[2:5]...)
+    @test_throws SolveError run(1:n_cases, broken, Config())
+    @test size.(run(1:0, parameters, Config())) == ntuple(_ -> (n_points, n_times, 0), 3)
+end
+
+@testset "over cases" begin
+    for n in (0, 1, 2, 7)
+        seen = zeros(Int, n)
+        PCNDECore.over_cases(cases -> seen[cases] .+= 1, n)
+        @test all(==(1), seen)
+    end
+    @test_throws SolveError PCNDECore.over_cases(_ -> throw(SolveError("no")), 5)
+end
