@@ -9,9 +9,10 @@ import json
 import logging
 import os
 import sys
+import warnings
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 from rich.console import Console
@@ -367,8 +368,25 @@ def _global_options(
         raise typer.Exit
 
 
+def _note_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say what the package warns of without the line of code that Python would show."""
+    if category.__module__.partition(".")[0] == "pcnde_bridge":
+        text = str(message)
+    else:
+        text = warnings.formatwarning(message, category, filename, lineno, line)
+    _notes.print(f"Warning: {text}", highlight=False, markup=False, soft_wrap=True)
+
+
 def main() -> None:
-    """Run the command line, turning errors into messages and exit codes."""
+    """Run the command line, turning errors into messages and exit codes, warnings into notes."""
+    warnings.showwarning = _note_warning
     try:
         app()
     except PCNDEError as error:
