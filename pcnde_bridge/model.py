@@ -265,11 +265,7 @@ class PCNDE:
             if area_undeformed is not None or z is not None or period is not None:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             cases = inflow
-            grid = Grid(cases.time, cases.z, cases.period)
-            if not self.any_grid:
-                self._check_grid(cases)
-            inputs = cases.inflow, cases.area_undeformed
-            return self._predict(*inputs, grid, cases.labels, samples, seed)
+            return self._warned(self._predict_cases(cases, samples, seed))
         if area_undeformed is None:
             raise InputError("predict needs area_undeformed beside the inflow.")
         grid = self._grid_of(inflow, z, period)
@@ -290,7 +286,14 @@ class PCNDE:
         q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
         s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
         labels = pd.DataFrame({"case": np.arange(count)})
-        return self._predict(q, s_u, grid, labels, samples, seed)
+        return self._warned(self._predict(q, s_u, grid, labels, samples, seed))
+
+    def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
+        if not self.any_grid:
+            self._check_grid(cases)
+        grid = Grid(cases.time, cases.z, cases.period)
+        inputs = cases.inflow, cases.area_undeformed
+        return self._predict(*inputs, grid, cases.labels, samples, seed)
 
     @property
     def any_grid(self) -> bool:
@@ -342,7 +345,9 @@ class PCNDE:
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
                 "'physics' (and correction.folds > 0)."
             )
-        score = self._novelty_of(inflow, area_undeformed, grid)
+        score = None
+        if self.novelty is not None:
+            score = np.maximum(*self.novelty.score(inflow, area_undeformed, grid.z))
         args = inflow, area_undeformed, grid
         solution = recipes.predict(self.engine, self.config, self.parameters, *args)
         drawn = None
@@ -364,24 +369,24 @@ class PCNDE:
             *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn
         )
 
-    def _novelty_of(self, inflow: Array, area_undeformed: Array, grid: Grid) -> Array | None:
-        """Score of every case, with a warning for those beyond the training data."""
-        if self.novelty is None:
-            return None
-        of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
-        score: Array = np.maximum(of_inflow, of_area)
-        outside = np.flatnonzero(score > 1 + _SAME_GRID)
-        if outside.size:
-            worst = int(score.argmax())
-            what = "inflow" if of_inflow[worst] > of_area[worst] else "undeformed area"
-            warnings.warn(
-                f"{outside.size} of {len(score)} cases lie outside the training data, most of all "
-                f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "
-                "training data). The prediction extrapolates.",
-                OutsideTrainingWarning,
-                stacklevel=4,
-            )
-        return score
+    def _warned(self, prediction: Prediction) -> Prediction:
+        """Warn the caller of :meth:`predict` if inputs lie outside the training data."""
+        score = prediction.novelty
+        outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
+        if score is None or self.novelty is None or outside == 0:
+            return prediction
+        worst = int(score.argmax())
+        inputs = prediction.flow[[worst], :, 0], prediction.area_undeformed[[worst]]
+        of_inflow, of_area = self.novelty.score(*inputs, prediction.z)
+        what = "inflow" if of_inflow[0] > of_area[0] else "undeformed area"
+        warnings.warn(
+            f"{outside} of {len(score)} cases lie outside the training data, most of all "
+            f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "
+            "training data). The prediction extrapolates.",
+            OutsideTrainingWarning,
+            stacklevel=3,
+        )
+        return prediction
 
     def evaluate(self, cases: Cases) -> pd.DataFrame:
         """Relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
@@ -405,7 +410,8 @@ class PCNDE:
         InputError
             If the cases' grid is not the model's.
         """
-        return error_table(self.predict(cases).variables(), cases)
+        # Cases that bring the truth need no warning of extrapolation: their errors show it.
+        return error_table(self._predict_cases(cases, 0, 0).variables(), cases)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model into one file, atomically and without pickle.

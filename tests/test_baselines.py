@@ -239,7 +239,7 @@ def test_rows_as_json(tmp_path):
 @pytest.fixture
 def run(monkeypatch, toy_engine, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
 
     return run_pcnde
 

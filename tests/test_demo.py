@@ -72,7 +72,7 @@ def test_everything_is_there(demo, tmp_path, small_cases):
 def test_its_files_go_into_the_other_commands(demo, tmp_path, small_cases, toy_engine, monkeypatch):
     result = demo()
     folder = tmp_path / "demo"
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
     arguments = ["--inflow", folder / "inflow.csv", "--area", folder / "area.csv"]
     out = tmp_path / "mine.npz"
     argv = ["pcnde", "predict", folder / "model.npz", *arguments, "--out", out]
@@ -177,7 +177,7 @@ def test_no_history_no_figure():
 def run(monkeypatch, small_cases, toy_engine, toy_config, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(module, "synthetic", lambda **_: small_cases)
-    monkeypatch.setattr(module, "select_engine", lambda name: toy_engine)
+    monkeypatch.setattr(module, "select_engine", lambda name, **_: toy_engine)
     monkeypatch.setattr(module, "resolve_config", lambda name: toy_config)
 
     return run_pcnde
