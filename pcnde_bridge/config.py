@@ -508,7 +508,7 @@ class CorrectionClosure(_Section):
         κ in ∂Q/∂z = −κ(1 − g)·∂S/∂t; 1 conserves volume.  None learns it: averaged
         3D simulations need not conserve it.
     hidden : tuple of int
-        Widths of the correction's hidden layers.
+        Widths of the correction's hidden layers; none makes it logistic.
     weight_decay : float
         Of the network's weights.
     evaluations : int

@@ -54,7 +54,7 @@ def train(
         trainer = Trainer(cases, config, engine, checkpoint, on_record)
     state = trainer.start(seed)
     if progress is True:
-        with TrainingProgress(trainer.total, len(state.history)) as bar:
+        with TrainingProgress(trainer.total(state), len(state.history)) as bar:
             trainer.on_record = bar
             state = trainer.run(state)
     else:

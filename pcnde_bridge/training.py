@@ -9,7 +9,6 @@ run continued from a checkpoint repeats the interrupted one bit for bit.
 from __future__ import annotations
 
 import logging
-import math
 import os
 import time
 from dataclasses import dataclass, field, replace
@@ -196,11 +195,9 @@ class Trainer:
         self._checkpoint = None if checkpoint is None else Path(checkpoint)
         self.on_record = on_record
 
-    @property
-    def total(self) -> int:
-        """Iterations of a whole run, if no fit ends early."""
-        n_batches = math.ceil(self._cases.n_cases / self._config.batch_size)
-        return count_iterations(self._config, n_batches)
+    def total(self, state: TrainingState) -> int:
+        """Count the iterations of a whole run, if no fit ends early."""
+        return count_iterations(self._config, len(state.batches))
 
     def start(self, seed: int) -> TrainingState:
         """First state of a run, or the checkpoint's if there is one.

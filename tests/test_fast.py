@@ -10,6 +10,7 @@ import pytest
 from pcnde_bridge import PAPER, PCNDE, PRESETS, InputError, PCNDEConfig, SolveError
 from pcnde_bridge import all_at_once as fast
 from pcnde_bridge.config import FAST, AllAtOnce
+from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import (
     FlowInputs,
     FourierAreaInputs,
@@ -133,8 +134,9 @@ def test_the_area_stages_are_at_their_minimum(engine, small_cases, grid):
 
 @pytest.mark.julia
 def test_the_area_stages_are_the_same_with_both_engines(engine, small_cases, grid):
-    from pcnde_bridge.engines import select_engine
-
+    why_not = why_not_julia()
+    if why_not is not None:
+        pytest.skip(f"no Julia: {why_not}")
     ours = area_gradients(engine, small_cases, grid, LITTLE)
     theirs = area_gradients(select_engine("julia"), small_cases, grid, LITTLE)
     for (_, mine), (ratio, other) in zip(ours, theirs, strict=True):
@@ -324,6 +326,13 @@ def test_plan():
     ]
     assert count_iterations(LITTLE, 2) == 8 + 5 + 4 + 3 * 12
     assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
+
+
+def test_the_progress_counts_the_parts_of_the_run(small_cases, toy_engine):
+    trainer = Trainer(small_cases, LITTLE, toy_engine)
+    state = trainer.start(0)
+    assert trainer.total(state) == count_iterations(LITTLE, len(state.batches))
+    assert len(trainer.run(state).history) <= trainer.total(state)
 
 
 def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):

@@ -57,11 +57,9 @@ def fit_outlet(cases: Cases, config: ClosureConfig) -> Array:
     resistance = given.resistance
     distal = given.distal_pressure
     if resistance is None and distal is None:
-        slope = float(np.cov(flow.ravel(), pressure.ravel())[0, 1] / flow.var(ddof=0))
-        slope *= (flow.size - 1) / flow.size
-        resistance, distal = slope, float(pressure.mean() - slope * flow.mean())
+        resistance, distal = map(float, np.polyfit(flow.ravel(), pressure.ravel(), 1))
         # A distal pressure that cannot be told from the regression's own error is none.
-        scatter = np.std(pressure - slope * flow - distal)
+        scatter = np.std(pressure - resistance * flow - distal)
         if abs(distal) < 2 * scatter:
             distal, resistance = 0.0, float((pressure * flow).sum() / (flow**2).sum())
     elif resistance is None:

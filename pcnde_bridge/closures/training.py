@@ -111,9 +111,8 @@ class ClosureTrainer:
         folds = config.correction.folds
         self._left_out = parts(cases, folds) if folds else []
 
-    @property
-    def total(self) -> int:
-        """Largest number of iterations of a run."""
+    def total(self, _: ClosureState) -> int:
+        """Count the iterations of a run at most."""
         return 3 * self.config.correction.evaluations + len(self._left_out) * self._few
 
     @property
