@@ -1,0 +1,62 @@
+"""The documentation site: ``sphinx-build -W docs docs/_build``."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from pcnde_bridge import __version__
+
+HERE = Path(__file__).parent
+
+project = "pcnde_bridge"
+author = "The pcnde-bridge developers"
+copyright = author
+version = release = __version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "myst_nb",
+]
+templates_path = ["_templates"]
+exclude_patterns = ["_build", "_templates", "jupyter_execute"]
+suppress_warnings = ["misc.highlighting_failure"]
+
+html_theme = "furo"
+html_title = f"pcnde_bridge {version}"
+
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 3
+
+autosummary_generate = True
+autodoc_typehints = "none"  # the signature would repeat the docstring's types
+numpydoc_show_class_members = False
+
+# The notebooks are run by the tests; here they are shown as they are kept.
+nb_execution_mode = "off"
+
+
+def _bring_notebooks() -> None:
+    """Sphinx reads pages below its own folder only."""
+    shutil.rmtree(HERE / "notebooks", ignore_errors=True)
+    shutil.copytree(
+        HERE.parent / "notebooks",
+        HERE / "notebooks",
+        ignore=shutil.ignore_patterns(".ipynb_checkpoints"),
+    )
+
+
+_bring_notebooks()
+
+
+def _keep_bars(app: object, what: str, name: str, obj: object, options: object, lines: list[str]):
+    """Show the |Q| of an equation, which reStructuredText takes for a substitution."""
+    lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def setup(app):
+    """Register the hook with Sphinx."""
+    app.connect("autodoc-process-docstring", _keep_bars)
