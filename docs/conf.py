@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 from pcnde_bridge import __version__
 
@@ -52,11 +53,13 @@ def _bring_notebooks() -> None:
 _bring_notebooks()
 
 
-def _keep_bars(app: object, what: str, name: str, obj: object, options: object, lines: list[str]):
+def _keep_bars(
+    app: object, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
     """Show the |Q| of an equation, which reStructuredText takes for a substitution."""
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
-def setup(app):
+def setup(app: Any) -> None:
     """Register the hook with Sphinx."""
     app.connect("autodoc-process-docstring", _keep_bars)

@@ -18,6 +18,7 @@ from pcnde_bridge.engines.jax import JaxEngine
 from pcnde_bridge.engines.julia import JuliaEngine, julia_status
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.inference import undeformed
+from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.parameters import STAGES, initial_parameters
 from pcnde_bridge.published_weights import read_published_weights
 
@@ -203,10 +204,6 @@ def published_weights(published_folder):
         pytest.skip(str(error))
 
 
-def relative_error(found, truth):
-    return np.linalg.norm(found - truth) / np.linalg.norm(truth)
-
-
 @pytest.mark.data
 def test_published_weights_give_the_published_errors(engines, published_weights, published_cases):
     cases = published_cases.split("paper").test
@@ -242,7 +239,8 @@ def test_published_weights_give_the_published_errors(engines, published_weights,
 def test_published_weights_predict_the_same(
     engines, published_weights, published_cases, tolerances, agreement
 ):
-    cases = published_cases.split("paper").test
+    # The narrowest, the strongest, the reversed wave: at a tight tolerance each takes seconds.
+    cases = published_cases.select([(10, 0), (10, 9), (1, 9), (5, 9)])
     config = PUBLISHED_CODE.replace(flow=tolerances)
     grid = Grid(cases.time, cases.z, cases.period)
     # The authors publish no weights for the pressure: some will do.
