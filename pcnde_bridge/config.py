@@ -562,11 +562,6 @@ PUBLISHED_CODE = PAPER.replace(
 )
 """What the authors' published code and weights do, where it differs from the text."""
 
-QUICK = PAPER.replace(flow={"epochs": 60, "couple_every": 20})
-"""The paper's recipe with 60 epochs, coupled every 20, in place of 100 and 25.
-
-For a first look, as ``pcnde demo`` takes."""
-
 FAST = PAPER.replace(training="all_at_once", flow={"steps": 12})
 """The paper's equations and parameters, trained all at once, in seconds.
 
@@ -576,8 +571,7 @@ PHYSICS = ClosureConfig()
 """Closures that obey what the data obey; see :mod:`pcnde_bridge.closures`."""
 
 PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
-    {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK, "fast": FAST}
-    | {"physics": PHYSICS}
+    {"paper": PAPER, "published-code": PUBLISHED_CODE, "fast": FAST, "physics": PHYSICS}
 )
 """The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
 

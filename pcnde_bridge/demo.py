@@ -21,6 +21,7 @@ from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import error_table, pooled_errors
 from pcnde_bridge.model import PCNDE
+from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.synthetic import synthetic
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def run_demo(
     out: str | os.PathLike[str] = "demo",
     seed: int = 0,
     engine: EngineName | Engine = "auto",
-    config: PCNDEConfig | str = "quick",
+    config: PCNDEConfig | str = "fast",
     *,
     cases: Cases | None = None,
     progress: bool = True,
@@ -141,10 +142,12 @@ def run_demo(
     model.save(folder / "model.npz")
     state.unlink(missing_ok=True)
 
-    errors, table = _evaluate(model, {"train": train, "test": test})
+    predictions = {"train": model.predict(train), "test": model.predict(test)}
+    errors, table = _evaluate(predictions, {"train": train, "test": test})
     _write_table(folder / "errors.csv", table)
     _write_table(folder / "history.csv", model.history)
-    _write_predictions(folder, model, test, "1D solver" if cases is None else "data")
+    truth_label = "1D solver" if cases is None else "data"
+    _write_predictions(folder, predictions["test"], test, model.history, truth_label)
     seconds = time.perf_counter() - began
     results = {"finished": True, "seconds": round(seconds, 1), "errors": errors}
     _write_text(folder / MARK, json.dumps({**facts, **results}, indent=1) + "\n")
@@ -188,12 +191,12 @@ def _keys(cases: Cases) -> list[list[int]]:
 
 
 def _evaluate(
-    model: PCNDE, sets: dict[str, Cases]
+    predictions: dict[str, Prediction], sets: dict[str, Cases]
 ) -> tuple[dict[str, dict[str, dict[str, float]]], pd.DataFrame]:
     """Pooled errors of model and baseline, and the model's errors case by case."""
     unchanged = Unchanged().fit(sets["train"])
     tables = {
-        name: error_table(model.predict(cases).variables(), cases) for name, cases in sets.items()
+        name: error_table(predictions[name].variables(), cases) for name, cases in sets.items()
     }
     errors = {
         "PCNDE": {
@@ -207,11 +210,12 @@ def _evaluate(
     return errors, pd.concat(tables, names=["set"]).reset_index()
 
 
-def _write_predictions(folder: Path, model: PCNDE, test: Cases, truth_label: str) -> None:
+def _write_predictions(
+    folder: Path, prediction: Prediction, test: Cases, history: pd.DataFrame, truth_label: str
+) -> None:
     """All test cases as a table, the hardest as a figure and as input for ``pcnde predict``."""
     from pcnde_bridge.plots import loss_history, time_and_space
 
-    prediction = model.predict(test)
     with atomic_write(folder / "prediction.csv.gz") as temporary:
         frame = prediction.to_frame().drop(
             columns=["periodicity", "volume_balance"], errors="ignore"
@@ -226,7 +230,7 @@ def _write_predictions(folder: Path, model: PCNDE, test: Cases, truth_label: str
     _write_table(folder / "area.csv", pd.DataFrame(area))
     figure = time_and_space(prediction, test, hardest, truth_label=truth_label)
     _write_figure(folder / "prediction.png", figure)
-    _write_figure(folder / "history.png", loss_history(model.history))
+    _write_figure(folder / "history.png", loss_history(history))
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import FAST, QUICK, resolve_config
+from pcnde_bridge.config import FAST, resolve_config
 from pcnde_bridge.parameters import sizes
 
 GROUPS = [
@@ -214,10 +214,9 @@ def test_json_beyond_floats_is_refused():
 
 
 def test_presets():
-    names = {"paper": PAPER, "published-code": PUBLISHED_CODE, "quick": QUICK, "fast": FAST}
+    names = {"paper": PAPER, "published-code": PUBLISHED_CODE, "fast": FAST}
     assert {name: PRESETS[name] for name in names} == names
     assert resolve_config("fast") is FAST
-    assert resolve_config("quick") is QUICK
     assert resolve_config("paper") is PAPER
     assert resolve_config("published-code") is PUBLISHED_CODE
     assert resolve_config(PUBLISHED_CODE) is PUBLISHED_CODE

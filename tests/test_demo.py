@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, PRESETS, Cases, FileError, InputError, cli
+from pcnde_bridge import PCNDE, Cases, FileError, InputError, cli
 from pcnde_bridge import demo as module
 from pcnde_bridge.baselines import Unchanged
 from pcnde_bridge.demo import CHECKPOINT, FILES, MARK, run_demo
@@ -142,13 +142,6 @@ def test_unusable_folders(demo, tmp_path):
     (tmp_path / "odd" / MARK).write_text("not JSON")
     with pytest.raises(FileError, match="is not a demo's"):
         demo(tmp_path / "odd")
-
-
-def test_the_preset_is_the_papers_with_fewer_epochs():
-    quick, paper = PRESETS["quick"], PRESETS["paper"]
-    changes = {"epochs": quick.flow.epochs, "couple_every": quick.flow.couple_every}
-    assert quick.flow.epochs < paper.flow.epochs
-    assert paper.replace(flow=changes) == quick
 
 
 def test_loss_history(demo):
