@@ -19,7 +19,16 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLPolyDataWriter
 
-from pcnde_bridge import Cases, DataNotFoundError, FileError, InputError, PCNDEError, UnitsWarning
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    DataNotFoundError,
+    FileError,
+    InputError,
+    PCNDEError,
+    UnitsWarning,
+)
+from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.formats import (
     VesselResults,
     read_csv,
@@ -31,6 +40,7 @@ from pcnde_bridge.formats import (
     write_pvd,
     write_vtp,
 )
+from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
 
 FIELDS = ("flow", "area", "pressure")
@@ -407,7 +417,7 @@ def test_labels_by_file(small_cases, tmp_path):
     table.write_text("name,waveform,geometry\n5.vtp,1,2\n")
     with pytest.raises(InputError, match="lacks the column 'file'"):
         read_labels(table, paths)
-    with pytest.raises(FileError, match="Cannot read labels"):
+    with pytest.raises(FileError, match="Cannot read a table"):
         read_labels(tmp_path / "nowhere.csv", paths)
 
 
@@ -668,8 +678,13 @@ def test_convert_refuses_wrong_options(tmp_path, run_pcnde, options, message):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_predict_writes_centrelines(small_model, small_cases, tmp_path, run_pcnde):
-    small_model.save(tmp_path / "model.npz")
+def test_predict_writes_centrelines(
+    small_cases, toy_config, toy_engine, tmp_path, run_pcnde, monkeypatch
+):
+    parameters = initial_parameters(toy_config, 20, 21, 0)
+    grid = Grid(small_cases.time, small_cases.z, 1.0)
+    model = PCNDE(toy_config, parameters, grid, toy_engine)
+    monkeypatch.setattr(PCNDE, "load", lambda *_, **__: model)
     for name, axis, values in (
         ("inflow.csv", "time", small_cases.inflow[:2]),
         ("area.csv", "z", small_cases.area_undeformed[:2]),
@@ -677,11 +692,9 @@ def test_predict_writes_centrelines(small_model, small_cases, tmp_path, run_pcnd
         table = {axis: getattr(small_cases, axis), "a": values[0], "b": values[1]}
         pd.DataFrame(table).to_csv(tmp_path / name, index=False)
     inputs = ["--inflow", tmp_path / "inflow.csv", "--area", tmp_path / "area.csv"]
-    code, printed, _ = run_pcnde(
-        "predict", tmp_path / "model.npz", *inputs, "--engine", "jax", "--out", tmp_path / "p.vtp"
-    )
+    code, printed, _ = run_pcnde("predict", "model.npz", *inputs, "--out", tmp_path / "p.vtp")
     assert code == 0
     assert "Saved 2 cases" in printed
     found = read_simvascular(sorted(tmp_path.glob("p_*.vtp")), units="cgs")
-    expected = small_model.predict(small_cases.inflow[:2], small_cases.area_undeformed[:2])
+    expected = model.predict(small_cases.inflow[:2], small_cases.area_undeformed[:2])
     assert np.array_equal(found.flow, expected.flow)

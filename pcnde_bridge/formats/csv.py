@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import DataNotFoundError, InputError
 from pcnde_bridge.formats.results import FIELDS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.tables import read_frame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -58,10 +59,7 @@ def read_csv(
 def _read(path: Path) -> list[VesselResults]:
     if not path.is_file():
         raise DataNotFoundError(f"There is no file {path}; check the path.")
-    try:
-        frame = pd.read_csv(path)
-    except (OSError, ValueError, EOFError, pd.errors.ParserError) as error:
-        raise FileError(f"Cannot read a table from {path}: {error}.") from error
+    frame = read_frame(path)
     absent = [name for name in COLUMNS if name not in frame]
     if absent:
         raise InputError(

@@ -13,12 +13,12 @@ import numpy.typing as npt
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 from pcnde_bridge.formats.results import FIELDS, UNITS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.h5 import read_dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 NAMES = (*FIELDS, "area_undeformed", "time", "z")
-_LARGEST = 1 << 33  # bytes of an array
 
 
 def read_hdf5(
@@ -77,20 +77,18 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
     try:
         with h5py.File(path, "r") as file:
             for name in (*NAMES, "period"):
-                item = file.get(names.get(name, name))
-                if isinstance(item, h5py.Dataset):
-                    arrays[name] = _values(item)
-                    unit = item.attrs.get("units", "")
+                place = names.get(name, name)
+                values = read_dataset(file, place)
+                if values is not None:
+                    arrays[name] = values
+                    unit = file[place].attrs.get("units", "")
                     units[name] = unit.decode() if isinstance(unit, bytes) else str(unit)
             group = file.get("labels")
-            if isinstance(group, h5py.Group):
-                labels = {
-                    name: _values(item)
-                    for name, item in group.items()
-                    if isinstance(item, h5py.Dataset)
-                }
-    except InputError:
-        raise
+            for name in group if isinstance(group, h5py.Group) else ():
+                values = read_dataset(file, f"labels/{name}")
+                if values is not None:
+                    text = values.dtype.kind == "O"
+                    labels[name] = values.astype("S").astype(str) if text else values
     except Exception as error:  # damaged bytes can make the reader raise nearly anything
         raise FileError(f"{path} is no HDF5 file, or damaged: {error}.") from error
     if absent := [name for name in NAMES if name not in arrays]:
@@ -99,15 +97,6 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
             f"(--names {absent[0]}=path)."
         )
     return _vessels(path, arrays, labels, _known_units(path, units))
-
-
-def _values(item: Any) -> npt.NDArray[Any]:
-    if item.nbytes > _LARGEST:
-        raise InputError(f"{item.name} claims {item.nbytes} bytes, more than a data set has.")
-    values = np.asarray(item.asstr()[()] if item.dtype.kind in "SO" else item[()])
-    if values.dtype.kind in "iuf":
-        return values.astype(np.float64) if item.name.count("/") == 1 else values
-    return values
 
 
 def _known_units(path: Path, units: Mapping[str, str]) -> dict[str, str]:

@@ -21,7 +21,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.tables import read_frame
 
 Array = npt.NDArray[np.float64]
 Flip = Literal["flow", "z"]
@@ -219,10 +220,7 @@ def read_labels(
     InputError
         If a file has no row, or two.
     """
-    try:
-        table = pd.read_csv(path, dtype={"file": str})
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        raise FileError(f"Cannot read labels from {path}: {error}.") from error
+    table = read_frame(path, dtype={"file": str})
     if "file" not in table:
         raise InputError(f"{path} lacks the column 'file'; it has {list(table.columns)}.")
     rows = []
