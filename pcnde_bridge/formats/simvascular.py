@@ -258,9 +258,11 @@ def read_polydata(
     reader.SetReadFromInputString(True)
     reader.SetInputString(content)
     core.vtkOutputWindow.SetInstance(messages)
+    core.vtkLogger.SetStderrVerbosity(core.vtkLogger.VERBOSITY_OFF)
     try:
         reader.Update()
     finally:
+        core.vtkLogger.SetStderrVerbosity(core.vtkLogger.VERBOSITY_INFO)
         core.vtkOutputWindow.SetInstance(usual)
     data, said = reader.GetOutput(), messages.GetOutput()
     if reader.GetErrorCode() or "ERROR" in said or "error" in said:
