@@ -358,6 +358,45 @@ def test_reads_what_reduced_order_simulations_write(vessel, tmp_path):
         read_simvascular(path, time_step=1e-3)
 
 
+WAYS = {
+    "ascii": lambda writer: writer.SetDataModeToAscii(),
+    "inline": lambda writer: writer.SetDataModeToBinary(),
+    "raw": lambda writer: writer.EncodeAppendedDataOff(),
+    "not compressed": lambda writer: writer.SetCompressorTypeToNone(),
+    "raw, not compressed": lambda writer: (
+        writer.SetCompressorTypeToNone(),
+        writer.EncodeAppendedDataOff(),
+    ),
+    "LZMA": lambda writer: writer.SetCompressorTypeToLZMA(),
+    "64 bits": lambda writer: writer.SetHeaderTypeToUInt64(),
+    "big endian": lambda writer: writer.SetByteOrderToBigEndian(),
+    "small blocks": lambda writer: writer.SetBlockSize(64),
+}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS.keys())
+def test_reads_centrelines_however_vtk_writes_them(prediction, tmp_path, way):
+    (path, *_) = write_vtp(prediction, tmp_path / "p.vtp")
+    expected = read_simvascular(path)
+    reader, writer = vtkXMLPolyDataReader(), vtkXMLPolyDataWriter()
+    reader.SetFileName(str(path))
+    reader.Update()
+    writer.SetFileName(str(path))
+    writer.SetInputData(reader.GetOutput())
+    way(writer)
+    before = path.read_bytes()
+    assert writer.Write()
+    assert path.read_bytes() != before
+    assert read_simvascular(path) == expected
+
+
+def test_a_compressor_that_is_not_known(prediction, tmp_path):
+    (path, *_) = write_vtp(prediction, tmp_path / "p.vtp")
+    path.write_bytes(path.read_bytes().replace(b"vtkZLib", b"vtkLZ4"))
+    with pytest.raises(FileError, match=r"compressor vtkLZ4DataCompressor is not known.*zlib"):
+        read_simvascular(path)
+
+
 def test_one_branch_of_several(vessel, tmp_path):
     branches = np.array([0] * 8 + [-1] * 2 + [1] * 11)
     path = centreline(tmp_path / "a.vtp", vessel, branches=branches)
@@ -604,15 +643,13 @@ def test_save_by_ending(prediction, tmp_path):
     ("hidden", "extra", "use"),
     [
         ("vtkmodules", "vtk", lambda p, folder: p.save(folder / "p.vtp")),
-        ("vtkmodules", "vtk", lambda p, folder: read_simvascular(folder / "a.vtp")),
+        ("vtkmodules", "vtk", lambda p, folder: p.save(folder / "p.pvd")),
         ("xarray", "xarray", lambda p, folder: p.to_xarray()),
     ],
 )
 def test_a_missing_package_is_named_with_its_extra(
-    prediction, vessel, tmp_path, monkeypatch, hidden, extra, use
+    prediction, tmp_path, monkeypatch, hidden, extra, use
 ):
-    centreline(tmp_path / "a.vtp", vessel)
-
     def refuse(name):
         assert name.partition(".")[0] == hidden
         raise ModuleNotFoundError(f"No module named {name!r}")

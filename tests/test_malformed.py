@@ -483,7 +483,7 @@ TABLE = [
     ("vtp", "half", cut(0.5), FileError, "truncated or damaged"),
     ("vtp", "entities", replaced_by(LAUGHS), FileError, "defines XML entities"),
     ("vtp", "claims 10^15 points", swapped('Points="21"', 'Points="999999999999999"'),
-     FileError, "more than a file of its size holds"),
+     FileError, "values for 999999999999999 points"),
     ("vtp", "-1 points", swapped('NumberOfPoints="21"', 'NumberOfPoints="-1"'),
      FileError, "damaged"),
     ("vtp", "no pressure", swapped('Name="pressure_', 'Name="pressur3_', -1), InputError,

@@ -21,10 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.extras import require
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.formats.vtp import read_lines
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 
 _STEP = re.compile(r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)")
 _LABEL = "labels/"
-_COUNT = re.compile(rb'NumberOf[A-Za-z]+="([^"]{0,40})"')
-# Nothing that deflate, VTK's compression, packs takes less than this part of its size.
-_PACKED = 1 << 10
 
 
 def read_simvascular(
@@ -78,8 +76,6 @@ def read_simvascular(
         If a file is damaged or no ``.vtp``.
     InputError
         If arrays are missing, or units, flow or time steps are doubtful.
-    MissingExtraError
-        If VTK is not installed (extra ``vtk``).
     """
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     return to_cases(
@@ -90,7 +86,7 @@ def read_simvascular(
 def _read_vessel(
     path: Path, time_step: float | None, branch: int | None, rigid: bool
 ) -> VesselResults:
-    points, lines, arrays, facts = read_polydata(path)
+    points, lines, arrays, facts = read_lines(path)
     chosen = _branch(path, arrays, lines, len(points), branch)
     z = _distance(points[chosen], arrays.get("Path"), chosen)
     steps = _steps(path, arrays)
@@ -134,7 +130,11 @@ def _read_vessel(
 
 
 def _branch(
-    path: Path, arrays: Mapping[str, Array], lines: list[Array], n: int, branch: int | None
+    path: Path,
+    arrays: Mapping[str, Array],
+    lines: list[npt.NDArray[np.int64]],
+    n: int,
+    branch: int | None,
 ) -> npt.NDArray[np.intp]:
     """Return the points of the vessel, in the order of the file."""
     if "BranchId" not in arrays:
@@ -224,102 +224,6 @@ def _scalar(path: Path, arrays: Mapping[str, Array], name: str) -> Array:
             "over cross-sections: a flow is one number."
         )
     return array
-
-
-# ---- the file itself --------------------------------------------------------
-
-
-def read_polydata(
-    path: Path,
-) -> tuple[Array, list[Array], dict[str, Array], dict[str, Any]]:
-    """Read points, lines, point arrays and field data of a ``.vtp`` file.
-
-    Raises
-    ------
-    DataNotFoundError
-        If it is not there.
-    FileError
-        If it is damaged or something else.
-    """
-    if path.is_dir():
-        raise FileError(f"{path} is a folder, not a .vtp file.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
-    io, core = require("vtkmodules.vtkIOXML", "vtk"), require("vtkmodules.vtkCommonCore", "vtk")
-    to_numpy = require("vtkmodules.util.numpy_support", "vtk").vtk_to_numpy
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"Cannot read {path}: {error}.") from error
-    _refuse_foreign(path, content)
-    messages = core.vtkStringOutputWindow()
-    usual = core.vtkOutputWindow.GetInstance()
-    reader = io.vtkXMLPolyDataReader()
-    reader.SetReadFromInputString(True)
-    reader.SetInputString(content)
-    core.vtkOutputWindow.SetInstance(messages)
-    core.vtkLogger.SetStderrVerbosity(core.vtkLogger.VERBOSITY_OFF)
-    try:
-        reader.Update()
-    finally:
-        core.vtkLogger.SetStderrVerbosity(core.vtkLogger.VERBOSITY_INFO)
-        core.vtkOutputWindow.SetInstance(usual)
-    data, said = reader.GetOutput(), messages.GetOutput()
-    if reader.GetErrorCode() or "ERROR" in said or "error" in said:
-        why = " ".join(said.split())[-160:]
-        raise FileError(f"{path} is truncated or damaged, or no .vtp file ({why}).")
-    n = data.GetNumberOfPoints()
-    if n < 3:
-        raise FileError(f"{path} has {n} points; a centreline has more.")
-    arrays = {}
-    for i in range(data.GetPointData().GetNumberOfArrays()):
-        array = data.GetPointData().GetArray(i)  # None of text
-        if array is not None and array.GetName():
-            values = to_numpy(array).astype(np.float64)
-            if len(values) != n:
-                raise FileError(
-                    f"{path} is damaged: {array.GetName()} has {len(values)} values for {n} points."
-                )
-            arrays[array.GetName()] = values
-    cells = data.GetLines()
-    at = to_numpy(cells.GetOffsetsArray())
-    ends = to_numpy(cells.GetConnectivityArray())
-    lines = [ends[a:b] for a, b in itertools.pairwise(at) if b > a]
-    points = to_numpy(data.GetPoints().GetData()).astype(np.float64)
-    return points, lines, arrays, _facts(data.GetFieldData())
-
-
-def _refuse_foreign(path: Path, content: bytes) -> None:
-    """Refuse what is no ``.vtp``, and sizes that it cannot hold, before VTK allocates them."""
-    if b"<VTKFile" not in content[:4096] or b'type="PolyData"' not in content[:4096]:
-        raise FileError(
-            f"{path} is not a .vtp file (VTK XML PolyData). Export the centreline as .vtp."
-        )
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise FileError(f"{path} defines XML entities, which no .vtp file needs; it is not read.")
-    for match in _COUNT.finditer(content):
-        count = match[1].strip()
-        if not count.isdigit() or int(count) > _PACKED * len(content):
-            raise FileError(
-                f"{path} is damaged: it claims {match[0].decode('ascii', 'replace')}, more than a "
-                "file of its size holds."
-            )
-
-
-def _facts(data: Any) -> dict[str, Any]:
-    """Single numbers and texts of the field data."""
-    facts: dict[str, Any] = {}
-    for i in range(data.GetNumberOfArrays()):
-        array = data.GetAbstractArray(i)
-        if array.GetName() and array.GetNumberOfValues() == 1:
-            value = array.GetVariantValue(0)
-            if value.IsString():
-                facts[array.GetName()] = value.ToString()
-            elif array.IsIntegral():
-                facts[array.GetName()] = value.ToTypeInt64()
-            else:
-                facts[array.GetName()] = value.ToDouble()
-    return facts
 
 
 # ---- writing -----------------------------------------------------------------
