@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.errors import FileError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, check_members
 
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
@@ -90,6 +90,7 @@ def read_archive(
             info = archive.zip.getinfo(f"{_HEADER}.npy")
             if info.file_size > _LARGEST_HEADER:
                 raise _Foreign
+            check_members(archive.zip, Path(path).stat().st_size)
             facts = json.loads(str(archive[_HEADER]))
             if not isinstance(facts, dict) or facts.get("format") != kind:
                 found = facts.get("format") if isinstance(facts, dict) else None

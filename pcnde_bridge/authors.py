@@ -109,13 +109,14 @@ def _read_case(path: Path) -> NDArray[Any]:
     if not path.is_file():
         raise FileNotFoundError("the file is missing")
     try:
-        data = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+        # Mapped, a length that the file does not have is noticed before memory is taken.
+        data = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # damaged bytes can make the reader raise nearly anything
         raise ValueError(f"truncated, damaged or no .npy file ({error})") from error
     if not isinstance(data, np.ndarray) or data.shape != SHAPE or data.dtype != np.float64:
         found = f"{data.dtype} {data.shape}" if isinstance(data, np.ndarray) else "an archive"
         raise ValueError(f"holds {found} instead of float64 {SHAPE}, [variable, time, z]")
-    used = data[: _AREA + 1]
+    used = np.array(data[: _AREA + 1])
     if not np.isfinite(used).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(used))[0])
         raise ValueError(f"value {place} is {used[place]}")

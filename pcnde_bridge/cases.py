@@ -17,7 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
-from pcnde_bridge.files import atomic_write, sha256_arrays
+from pcnde_bridge.files import atomic_write, check_members, sha256_arrays
+from pcnde_bridge.h5 import read_dataset
 
 FloatArray = NDArray[np.float64]
 
@@ -875,6 +876,7 @@ def _read_npz(path: Path) -> dict[str, NDArray[Any]]:
         if handle.read(2) != b"PK":
             raise _Refused("is not an .npz file; load files that Cases.save wrote")
     with np.load(path, allow_pickle=False) as archive:
+        check_members(archive.zip, path.stat().st_size)
         _check_header(archive)
         return dict(archive)
 
@@ -920,17 +922,9 @@ def _read_h5(path: Path) -> dict[str, NDArray[Any]]:
             for key, value in file.attrs.items()
         }
         _check_header(header)
-        contents = {
-            prefix + name: _h5_values(item)
-            for prefix, group in (("", file), ("labels/", file["labels"]))
-            for name, item in group.items()
-            if isinstance(item, h5py.Dataset)
-        }
+        names = [*file, *(f"labels/{name}" for name in file["labels"])]
+        found = {name: read_dataset(file, name) for name in names}
+        contents = {name: values for name, values in found.items() if values is not None}
         if "fingerprint" in header:
             contents["fingerprint"] = np.array(header["fingerprint"])
     return contents
-
-
-def _h5_values(item: Any) -> NDArray[Any]:
-    values = np.asarray(item[()])
-    return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values

@@ -12,7 +12,7 @@ import sys
 import warnings
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 from rich.console import Console
@@ -47,6 +47,22 @@ class EngineChoice(str, Enum):
     auto = "auto"
     julia = "julia"
     jax = "jax"
+
+
+class FileFormat(str, Enum):
+    """Files that ``pcnde convert`` reads."""
+
+    simvascular = "simvascular"
+    sv1d = "sv1d"
+    csv = "csv"
+    hdf5 = "hdf5"
+
+
+class Flip(str, Enum):
+    """What ``pcnde convert --flip`` turns."""
+
+    flow = "flow"
+    z = "z"
 
 
 DataArgument = Annotated[
@@ -100,9 +116,8 @@ def fit(
 
     settings = _settings(preset, config)
     state = checkpoint or out.with_name(out.name + ".checkpoint")
+    _check_writable(out)
     sets = _split(load_cases(data), split)
-    if out.is_dir() or not out.parent.is_dir():
-        raise FileError(f"Cannot write {out}: give a file in an existing folder.")
     if state.exists():
         _notes.print(f"Continuing from {state}.", highlight=False, soft_wrap=True)
     try:
@@ -141,6 +156,7 @@ def evaluate(
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.model import PCNDE
 
+    _check_writable(json_file, per_case)
     fitted = PCNDE.load(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
@@ -166,7 +182,12 @@ def predict(
         typer.Option("--area", help="CSV: z (cm), then one column of S_u (cm²) for each case."),
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="Result: .csv (tidy), .npz or .h5 (a data set).")
+        Path,
+        typer.Option(
+            "--out",
+            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centrelines, one for "
+            "each case) or .pvd (animation for ParaView).",
+        ),
     ],
     engine: EngineOption = EngineChoice.auto,
     samples: Annotated[
@@ -184,13 +205,14 @@ def predict(
     points; another those of its training.
     """
     from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.prediction import check_target
     from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
-    if out.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
-        raise InputError(f"Cannot tell the format of {out}: it must end in .csv, .npz or .h5.")
-    if samples and out.suffix != ".csv":
+    suffix = check_target(out, has_pressure=True)
+    if samples and suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = PCNDE.load(model, engine=engine.value)
+    check_target(out, fitted.has_pressure)
     if fitted.any_grid:
         period, q = read_cycle(inflow)
         z, s_u = read_table(area, "z")
@@ -199,11 +221,7 @@ def predict(
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
         prediction = fitted.predict(q, s_u, samples=samples)
-    if out.suffix == ".csv":
-        with atomic_write(out) as temporary:
-            prediction.to_frame().to_csv(temporary, index=False)
-    else:
-        prediction.to_cases().save(out)
+    prediction.save(out)
     cases = "case" if len(prediction) == 1 else "cases"
     _out.print(f"Saved {len(prediction)} {cases} in {out}.", highlight=False, soft_wrap=True)
 
@@ -271,13 +289,93 @@ def simulate(
     """Simulate stenosed vessels with the 1D solver: the synthetic data set."""
     from pcnde_bridge.synthetic import synthetic
 
-    if out.suffix not in (".npz", ".h5", ".hdf5"):
-        raise InputError(f"Cannot tell the format of {out}: it must end in .npz or .h5.")
-    if out.is_dir() or not out.parent.is_dir():
-        raise FileError(f"Cannot write {out}: give a file in an existing folder.")
+    _check_data_set(out)
     cases = synthetic(geometries, waveforms, seed)
     cases.save(out)
     _out.print(f"Saved {cases!r} in {out}.", highlight=False, markup=False, soft_wrap=True)
+
+
+@app.command()
+def convert(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="simvascular: .vtp centrelines with averaged results. sv1d: svOneDSolver's input "
+            "files (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
+        ),
+    ],
+    source: Annotated[FileFormat, typer.Option("--from", help="Who wrote the files.")],
+    out: Annotated[Path, typer.Option("--out", help="File for the data set: .npz or .h5.")],
+    labels: Annotated[
+        Path | None,
+        typer.Option("--labels", help="CSV: file, geometry, waveform, …; one row for each file."),
+    ] = None,
+    period: Annotated[
+        float | None, typer.Option("--period", help="Of the cycle, s; takes the last whole one.")
+    ] = None,
+    time_step: Annotated[
+        float | None, typer.Option("--time-step", help="Of the 3D simulation, s (simvascular).")
+    ] = None,
+    units: Annotated[
+        str | None,
+        typer.Option(
+            "--units",
+            help="cgs, mm-g-s or si, or those that are not CGS: pressure=mmHg,z=mm.",
+        ),
+    ] = None,
+    flip: Annotated[
+        Flip | None, typer.Option("--flip", help="Turn the flow's sign, or the vessel's ends.")
+    ] = None,
+    instants: Annotated[
+        int | None, typer.Option("--instants", help="Resample the cycle to so many equal steps.")
+    ] = None,
+    points: Annotated[
+        int | None, typer.Option("--points", help="Resample the vessel to so many equal steps.")
+    ] = None,
+    branch: Annotated[
+        int | None, typer.Option("--branch", help="BranchId of the vessel (simvascular).")
+    ] = None,
+    rigid: Annotated[
+        bool, typer.Option("--rigid", help="The walls were rigid (simvascular).")
+    ] = False,
+    segments: Annotated[
+        str | None, typer.Option("--segments", help="Of the vessel, a,b,c from its inlet (sv1d).")
+    ] = None,
+    names: Annotated[
+        str | None, typer.Option("--names", help="Of data sets: flow=/Q,pressure=/P (hdf5).")
+    ] = None,
+) -> None:
+    """Make a data set of other programs' results; doubtful ones are refused, with advice."""
+    from pcnde_bridge import formats
+
+    _check_data_set(out)
+    own: dict[str, dict[str, Any]] = {
+        "simvascular": {"time_step": time_step, "branch": branch, "rigid": rigid or None},
+        "sv1d": {"segments": None if segments is None else segments.split(",")},
+        "csv": {},
+        "hdf5": {"names": _pairs(names, "--names")},
+    }
+    for other, options in own.items():
+        asked = [name for name, value in options.items() if value is not None]
+        if other != source.value and asked:
+            raise InputError(
+                f"--{asked[0].replace('_', '-')} goes with --from {other}, not {source.value}."
+            )
+    chosen = {name: value for name, value in own[source.value].items() if value is not None}
+    read = getattr(formats, f"read_{source.value}")
+    cases = read(
+        files,
+        **chosen,
+        period=period,
+        units=_pairs(units, "--units") if units and "=" in units else units,
+        flip=flip and flip.value,
+        instants=instants,
+        points=points,
+        labels=None if labels is None else formats.read_labels(labels, files),
+    )
+    cases.save(out)
+    _say(f"Saved {cases!r} in {out}.")
 
 
 @app.command()
@@ -302,8 +400,7 @@ def bench(
     from pcnde_bridge.model import PCNDE
 
     settings = _settings(preset, config)
-    if json_file is not None and (json_file.is_dir() or not json_file.parent.is_dir()):
-        raise FileError(f"Cannot write {json_file}: give a file in an existing folder.")
+    _check_writable(json_file)
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     if fitted is None:
@@ -407,6 +504,19 @@ def _fail(message: str, code: int) -> None:
     sys.exit(code)
 
 
+def _check_writable(*paths: Path | None) -> None:
+    """Refuse files that cannot be written, before anything is computed."""
+    for path in paths:
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            raise FileError(f"Cannot write {path}: give a file in an existing folder.")
+
+
+def _check_data_set(path: Path) -> None:
+    if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
+        raise InputError(f"Cannot tell the format of {path}: it must end in .npz or .h5.")
+    _check_writable(path)
+
+
 def _settings(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
     settings = resolve_config(preset)
     if path is None:
@@ -418,6 +528,16 @@ def _settings(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
     if not isinstance(changes, dict):
         raise InputError(f"{path} must hold a JSON object of settings.")
     return settings.replace(**changes)
+
+
+def _pairs(text: str | None, option: str) -> dict[str, str] | None:
+    """Read name=value,name=value."""
+    if text is None:
+        return None
+    parts = [part.partition("=") for part in text.split(",")]
+    if not all(name and value for name, _, value in parts):
+        raise InputError(f"{option} must look like flow=…,pressure=…, got {text!r}.")
+    return {name: value for name, _, value in parts}
 
 
 def _split(cases: Cases, how: str) -> dict[str, Cases]:

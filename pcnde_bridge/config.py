@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import numbers
 import types
 import typing
 from collections.abc import Mapping
@@ -129,11 +130,15 @@ def _checked(value: Any, hint: Any, where: str) -> Any:
         if isinstance(value, str) or not isinstance(value, list | tuple):
             raise InputError(f"{where} must be a sequence, got {value!r}.")
         return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            raise InputError(f"{where} must be finite, got a larger number.") from None
+    # The numbers of other libraries, such as numpy's, are taken as Python's own.
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        if hint is float:
+            try:
+                value = float(value)
+            except OverflowError:
+                raise InputError(f"{where} must be finite, got a larger number.") from None
+        elif hint is int and isinstance(value, numbers.Integral):
+            value = int(value)
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
     if isinstance(value, float) and not math.isfinite(value):

@@ -33,3 +33,7 @@ class EngineUnavailableError(EngineError):
 
 class SolveError(EngineError):
     """A differential equation could not be integrated to the end."""
+
+
+class MissingExtraError(PCNDEError, ImportError):
+    """An optional package is not installed; the message names the extra that brings it."""

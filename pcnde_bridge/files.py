@@ -7,6 +7,7 @@ import errno
 import hashlib
 import os
 import secrets
+import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,50 @@ def _reason(error: OSError, target: Path) -> str:
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"no permission to write in {str(target.parent)!r}; choose another folder"
     return str(error)
+
+
+# What is read is uncompressed or little compressed; deflate packs zeros a thousandfold.
+_UNPACKED, _TIMES = 1 << 28, 100
+
+
+def check_claim(claimed: int, stored: int) -> None:
+    """Refuse contents that are much larger than the file that holds them.
+
+    Parameters
+    ----------
+    claimed : int
+        Bytes that the contents would take in memory.
+    stored : int
+        Bytes of the file.
+
+    Raises
+    ------
+    RuntimeError
+        If they are more than 256 MiB and more than a hundred times the file.
+    """
+    if claimed > max(_UNPACKED, _TIMES * stored):
+        raise RuntimeError(f"it claims {claimed} bytes in a file of {stored}")
+
+
+def check_members(archive: zipfile.ZipFile, stored: int) -> None:
+    """Refuse archives that unpack into far more than they are, or out of their folder.
+
+    Parameters
+    ----------
+    archive : zipfile.ZipFile
+        Open.
+    stored : int
+        Bytes of its file.
+
+    Raises
+    ------
+    RuntimeError
+        If it is such an archive.
+    """
+    for name in archive.namelist():
+        if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
+            raise RuntimeError(f"its member {name!r} leads out of it")
+    check_claim(sum(member.file_size for member in archive.infolist()), stored)
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:

@@ -127,17 +127,20 @@ class Parameters:
         return Parameters(**{**dict(self), **vectors})
 
     def check(self, config: PCNDEConfig, n_times: int, n_points: int) -> None:
-        """Raise if a vector's length does not fit the configuration and grid.
+        """Raise if a vector does not fit the configuration and grid, or is not finite.
 
         The pressure stages' vectors may be empty: such a model predicts no pressure.
 
         Raises
         ------
         InputError
-            Naming the stage, the length found and the length needed.
+            Naming the stage, and the length found and needed or the number.
         """
         for stage, needed in sizes(config, n_times, n_points).items():
-            found = getattr(self, stage).size
+            vector = getattr(self, stage)
+            if vector.ndim != 1 or not np.isfinite(vector).all():
+                raise InputError(f"The {stage} parameters are not a row of finite numbers.")
+            found = vector.size
             if found != needed and not (found == 0 and stage in PRESSURE_STAGES):
                 raise InputError(
                     f"The {stage} parameters have {found} numbers, but {needed} are needed for "

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.cases import UNITS, Cases
+from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.extras import require
+from pcnde_bridge.files import atomic_write
+
+if TYPE_CHECKING:
+    import xarray
 
 Array = npt.NDArray[np.float64]
 
@@ -127,6 +135,71 @@ class Prediction:
         frame["area_undeformed"] = np.repeat(self.area_undeformed, n_times, axis=0).ravel()
         return frame
 
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the prediction as an xarray data set with names, units and labels.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``flow``, ``area`` and ``pressure`` with the dimensions (case, time, z),
+            ``area_undeformed`` (case, z), ``novelty`` (case) and, of a prediction with
+            samples, ``flow_samples`` and so on (sample, case, time, z); the labels are
+            coordinates of ``case``, units stand in the attributes.
+
+        Raises
+        ------
+        MissingExtraError
+            If xarray is not installed (extra ``xarray``).
+        """
+        dataset = require("xarray", "xarray").Dataset
+        axes = ("case", "time", "z")
+        found: dict[str, tuple[tuple[str, ...], Array, dict[str, str]]] = {
+            name: (axes, values, {"units": UNITS[name]})
+            for name, values in self.variables().items()
+        }
+        found["area_undeformed"] = (("case", "z"), self.area_undeformed, {"units": UNITS["area"]})
+        if self.novelty is not None:
+            found["novelty"] = (("case",), self.novelty, {})
+        for name, values in (self.samples or {}).items():
+            found[f"{name}_samples"] = (("sample", *axes), values, {"units": UNITS[name]})
+        labels = {name: ("case", column.to_numpy()) for name, column in self.labels.items()}
+        coordinates = {
+            name: (name, getattr(self, name), {"units": UNITS[name]}) for name in axes[1:]
+        }
+        made: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
+        return made
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the prediction to a file, in the format that its ending says.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.csv`` (also ``.csv.gz``): the frame; ``.npz`` or ``.h5``: a data set;
+            ``.vtp``: a centreline with arrays for each time step, for many cases one
+            file each; ``.pvd``: the same for ParaView, as an animation.
+
+        Raises
+        ------
+        FileError
+            If the ending is another one or the file cannot be written.
+        InputError
+            If a data set is asked for of a prediction without pressure.
+        MissingExtraError
+            If VTK is needed and not installed (extra ``vtk``).
+        """
+        suffix = check_target(path, self.pressure is not None)
+        if suffix == ".csv":
+            with atomic_write(path) as temporary:  # its ending, too, says whether to compress
+                self.to_frame().to_csv(temporary, index=False)
+        elif suffix in (".vtp", ".pvd"):
+            from pcnde_bridge import formats
+
+            write = formats.write_vtp if suffix == ".vtp" else formats.write_pvd
+            write(self, path)
+        else:
+            self.to_cases().save(path)
+
     def to_cases(self) -> Cases:
         """Return the prediction as a data set.
 
@@ -152,3 +225,43 @@ class Prediction:
             period=self.period,
             labels=labels,
         )
+
+
+def check_target(path: str | os.PathLike[str], has_pressure: bool) -> str:
+    """Refuse a file that :meth:`Prediction.save` could not write, before anything is computed.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    has_pressure : bool
+        Whether the pressure will be there.
+
+    Returns
+    -------
+    str
+        The ending that says the format.
+
+    Raises
+    ------
+    FileError, InputError, MissingExtraError
+        As :meth:`Prediction.save`.
+    """
+    target = Path(path)
+    name = target.name.lower().removesuffix(".gz")
+    suffix = Path(name).suffix
+    known = (".csv", ".npz", ".h5", ".hdf5", ".vtp", ".pvd")
+    if suffix not in known or (name != target.name.lower() and suffix != ".csv"):
+        raise FileError(
+            f"Cannot tell the format of {target}: it must end in .csv, .npz, .h5, .vtp or .pvd."
+        )
+    if target.is_dir() or not target.parent.is_dir():
+        raise FileError(f"Cannot write {target}: give a file in an existing folder.")
+    if suffix in (".npz", ".h5", ".hdf5") and not has_pressure:
+        raise InputError(
+            "The model has no pressure stages, so this is not a whole data set: write a .csv or "
+            ".vtp file."
+        )
+    if suffix in (".vtp", ".pvd"):
+        require("vtkmodules.vtkIOXML", "vtk")
+    return suffix

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pcnde_bridge.authors import SHAPE
 from pcnde_bridge.config import PUBLISHED_CODE
 from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.h5 import read_dataset
 from pcnde_bridge.parameters import Parameters, sizes
 
 Array = npt.NDArray[np.float64]
@@ -60,8 +61,8 @@ def _read(path: Path, size: int) -> Array:
         )
     try:
         with h5py.File(path, "r") as file:
-            vector = np.asarray(file["p"][()], dtype=np.float64)
-    except (OSError, KeyError, TypeError, ValueError) as error:
+            vector = np.asarray(read_dataset(file, "p"), dtype=np.float64)
+    except Exception as error:  # damaged bytes can make the reader raise nearly anything
         raise FileError(f"{path} is not a file of published weights: {error}") from error
     if vector.shape != (size,) or not np.isfinite(vector).all():
         raise FileError(

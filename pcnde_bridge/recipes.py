@@ -18,6 +18,7 @@ from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.closures.uncertainty import Uncertainty
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.engines.base import Engine, Grid, Solution
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.parameters import STAGES, Parameters
 from pcnde_bridge.progress import TrainingProgress
@@ -94,6 +95,11 @@ def check(config: Config, parameters: Parameters | ClosureParameters, grid: Grid
     InputError
         Naming what does not.
     """
+    for name, axis in (("time", grid.time), ("z", grid.z)):
+        if axis.ndim != 1 or not np.isfinite(axis).all() or (np.diff(axis) <= 0).any():
+            raise InputError(f"The model's {name} must be a row of increasing numbers.")
+    if not (np.isfinite(grid.period) and grid.period > 0):
+        raise InputError(f"The model's period must be positive (s), got {grid.period!r}.")
     if isinstance(config, ClosureConfig) and isinstance(parameters, ClosureParameters):
         parameters.check(config)
     elif isinstance(config, PCNDEConfig) and isinstance(parameters, Parameters):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import os
+import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +15,21 @@ import pandas as pd
 from pcnde_bridge.errors import FileError, InputError
 
 Array = npt.NDArray[np.float64]
+
+
+def read_frame(path: str | os.PathLike[str], **options: Any) -> pd.DataFrame:
+    """Read a CSV file with :func:`pandas.read_csv` and its options.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read as a table.
+    """
+    try:
+        frame: pd.DataFrame = pd.read_csv(path, **options)
+    except (OSError, ValueError, EOFError, zlib.error, csv.Error) as error:
+        raise FileError(f"Cannot read a table from {path}: {error}.") from error
+    return frame
 
 
 def read_table(path: str | os.PathLike[str], axis: str) -> tuple[Array, Array]:
@@ -37,10 +55,7 @@ def read_table(path: str | os.PathLike[str], axis: str) -> tuple[Array, Array]:
         If a column is missing or not numeric.
     """
     name = Path(path)
-    try:
-        frame = pd.read_csv(name)
-    except (OSError, ValueError, pd.errors.ParserError) as error:
-        raise FileError(f"Cannot read a table from {name}: {error}.") from error
+    frame = read_frame(name)
     if frame.shape[1] < 2 or frame.columns[0] != axis:
         raise InputError(
             f"{name} must have the columns {axis}, then one for each case; it has "

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from pcnde_bridge import cli
 from pcnde_bridge.cases import Cases
@@ -16,6 +18,11 @@ from pcnde_bridge.engines.base import Fit
 from pcnde_bridge.errors import DataNotFoundError
 from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.model import PCNDE
+
+# The same examples each time in the suite; HYPOTHESIS_PROFILE=long tries others, and many.
+settings.register_profile("suite", max_examples=25, derandomize=True, deadline=None)
+settings.register_profile("long", max_examples=2000, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,6 +132,20 @@ def test_an_integer_is_taken_where_a_float_is_due():
     assert density == 1.0
     with pytest.raises(InputError, match=r"Physics\.density must be finite"):
         PAPER.replace(physics={"density": 10**400})
+
+
+def test_numbers_of_numpy_are_taken_as_pythons_own():
+    made = PAPER.replace(
+        batch_size=np.int64(5),
+        flow={"rtol": np.float32(0.5), "hidden": [np.int32(3)], "first_step": np.float64(0.1)},
+    )
+    assert made == PAPER.replace(batch_size=5, flow={"rtol": 0.5, "hidden": [3], "first_step": 0.1})
+    assert PCNDEConfig.from_json(made.to_json()) == made
+    for value in (np.int64(0), np.float64(5.0), np.bool_(True)):
+        with pytest.raises(InputError, match=r"PCNDEConfig\.batch_size"):
+            PAPER.replace(batch_size=value)
+    with pytest.raises(InputError, match=r"FlowStage\.rtol must be finite"):
+        PAPER.replace(flow={"rtol": np.float64("nan")})
 
 
 def test_settings_cannot_be_changed_in_place():

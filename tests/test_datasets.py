@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 import hashlib
 import http.server
 import socket
@@ -144,6 +145,18 @@ def test_goes_on_after_an_interruption(server, elsewhere, fault, message):
     assert len(server.asked) == 2
     assert stored(folder) == FILES
     assert find_published() == folder
+
+
+def test_the_command_line_refuses_another_checksum(server, elsewhere, monkeypatch, run_pcnde):
+    path = "data/data_3D/case_1_0/averagedTo1DFrom0_case_1_0.npy"
+    server.faults[path] = ["altered"]
+    download = functools.partial(download_published, base_url=server.url, retries=0)
+    monkeypatch.setattr(datasets, "download_published", download)
+    code, printed, err = run_pcnde("download", "--cache", elsewhere / "mine")
+    assert (code, printed) == (2, "")
+    assert "its checksum differs" in err
+    assert "Traceback" not in err
+    assert stored(elsewhere) == {}
 
 
 def test_a_damaged_file_in_the_cache_is_replaced(server, tmp_path):

@@ -1,0 +1,32 @@
+"""Packages that only some formats need: brought in when asked for, by name when missing."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from pcnde_bridge.errors import MissingExtraError
+
+
+def require(module: str, extra: str) -> ModuleType:
+    """Import a module of an optional dependency.
+
+    Parameters
+    ----------
+    module : str
+        Its full name.
+    extra : str
+        The extra of this package that installs it.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f"This needs the package {module.partition('.')[0]}, which is not installed: "
+            f'pip install "pcnde-bridge[{extra}]" ({error}).'
+        ) from error

@@ -1,0 +1,111 @@
+"""Tidy CSV tables of results: one row for each case, instant and point."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.errors import DataNotFoundError, InputError
+from pcnde_bridge.formats.results import FIELDS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.tables import read_frame
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+COLUMNS = ("time", "z", *FIELDS, "area_undeformed")
+
+
+def read_csv(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    **options: Unpack[CaseOptions],
+) -> Cases:
+    """Read tidy tables, such as ``Prediction.to_frame()`` makes.
+
+    Parameters
+    ----------
+    paths : path-like or sequence of them
+        CSV files (also ``.csv.gz``) with the columns ``time``, ``z``, ``flow``,
+        ``area``, ``pressure`` and ``area_undeformed``.  Columns whose names end in
+        ``_deviation`` are left alone; all others are labels, and rows of equal labels
+        are a case.
+    **options
+        ``period``, ``units``, ``flip``, ``instants``, ``points`` and ``labels``, see
+        :func:`pcnde_bridge.formats.results.to_cases`.
+
+    Returns
+    -------
+    Cases
+        In the order of the files, and in each by its labels.
+
+    Raises
+    ------
+    DataNotFoundError
+        If a file is not there.
+    FileError
+        If a file is no table.
+    InputError
+        If columns or rows are missing, or units, flow or time steps are doubtful.
+    """
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    return to_cases([vessel for path in given for vessel in _read(Path(path))], **options)
+
+
+def _read(path: Path) -> list[VesselResults]:
+    if not path.is_file():
+        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    frame = read_frame(path)
+    absent = [name for name in COLUMNS if name not in frame]
+    if absent:
+        raise InputError(
+            f"{path} lacks the columns {absent}; it needs {list(COLUMNS)}, in CGS units or with "
+            f"units= (--units), and has {list(frame.columns)}."
+        )
+    for name in COLUMNS:
+        numbers = pd.to_numeric(frame[name], errors="coerce")
+        if numbers.isna().any():
+            line = int(np.flatnonzero(numbers.isna())[0]) + 2
+            raise InputError(f"{path}, line {line}, column {name}: not a number.")
+        frame[name] = numbers
+    names = [str(name) for name in frame.columns]
+    labels = [n for n in names if n not in COLUMNS and not n.endswith("_deviation")]
+    if frame.empty:
+        raise InputError(f"{path} has no rows.")
+    if not labels:
+        return [_vessel(path, frame, {})]
+    if frame[labels].isna().any(axis=None):
+        raise InputError(f"{path}: a label is missing in the columns {labels}.")
+    groups = frame.groupby(labels, sort=True)
+    return [_vessel(path, rows, dict(zip(labels, key, strict=True))) for key, rows in groups]
+
+
+def _vessel(path: Path, rows: pd.DataFrame, labels: dict[str, Any]) -> VesselResults:
+    where = f"{path}" + (f" ({', '.join(f'{k} {v}' for k, v in labels.items())})" * bool(labels))
+    time, z = np.unique(rows["time"]), np.unique(rows["z"])
+    if len(rows) != time.size * z.size or rows.duplicated(["time", "z"]).any():
+        raise InputError(
+            f"{where} has {len(rows)} rows, but {time.size} instants and {z.size} points make "
+            f"{time.size * z.size}: give each instant and point once. If there are several cases, "
+            "add columns that tell them apart, such as geometry and waveform."
+        )
+    ordered = rows.sort_values(["time", "z"])
+    shape = time.size, z.size
+    fields = {name: ordered[name].to_numpy(np.float64).reshape(shape) for name in COLUMNS}
+    undeformed = fields["area_undeformed"]
+    if np.abs(undeformed - undeformed[0]).max() > 1e-9 * np.abs(undeformed[0]).max():
+        raise InputError(f"{where}: area_undeformed changes with time.")
+    return VesselResults(
+        where,
+        fields["flow"],
+        fields["area"],
+        fields["pressure"],
+        undeformed[0],
+        time,
+        z,
+        labels=labels,
+    )

@@ -1,0 +1,162 @@
+"""HDF5 files of other programs: data sets of flow, area and pressure."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.formats.results import FIELDS, UNITS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.h5 import read_dataset
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+NAMES = (*FIELDS, "area_undeformed", "time", "z")
+
+
+def read_hdf5(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    names: Mapping[str, str] | None = None,
+    **options: Unpack[CaseOptions],
+) -> Cases:
+    """Read HDF5 files.
+
+    Parameters
+    ----------
+    paths : path-like or sequence of them
+        Files with the data sets ``flow``, ``area`` and ``pressure`` of shape (time, z)
+        or (case, time, z), ``area_undeformed`` of shape (z,) or (case, z), ``time`` and
+        ``z``; ``period`` and ``labels/…`` if they are there.  An attribute ``units`` of
+        a data set counts.
+    names : mapping, optional
+        Paths of data sets of another name: ``{"flow": "/results/Q"}``.
+    **options
+        ``period``, ``units``, ``flip``, ``instants``, ``points`` and ``labels``, see
+        :func:`pcnde_bridge.formats.results.to_cases`.
+
+    Returns
+    -------
+    Cases
+        In the order of the files, and in each as they stand.
+
+    Raises
+    ------
+    DataNotFoundError
+        If a file is not there.
+    FileError
+        If a file is damaged or no HDF5.
+    InputError
+        If data sets are missing, or units, flow or time steps are doubtful.
+    """
+    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if unknown := sorted(set(names or ()) - set(NAMES)):
+        raise InputError(f"names has {unknown}; it can name {list(NAMES)}.")
+    return to_cases(
+        [vessel for path in given for vessel in _read(Path(path), names or {})], **options
+    )
+
+
+def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
+    import h5py
+
+    if path.is_dir():
+        raise FileError(f"{path} is a folder, not an HDF5 file.")
+    if not path.is_file():
+        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    labels: dict[str, npt.NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    try:
+        with h5py.File(path, "r") as file:
+            for name in (*NAMES, "period"):
+                place = names.get(name, name)
+                values = read_dataset(file, place)
+                if values is not None:
+                    arrays[name] = values
+                    unit = file[place].attrs.get("units", "")
+                    units[name] = unit.decode() if isinstance(unit, bytes) else str(unit)
+            group = file.get("labels")
+            for name in group if isinstance(group, h5py.Group) else ():
+                values = read_dataset(file, f"labels/{name}")
+                if values is not None:
+                    text = values.dtype.kind == "O"
+                    labels[name] = values.astype("S").astype(str) if text else values
+    except Exception as error:  # damaged bytes can make the reader raise nearly anything
+        raise FileError(f"{path} is no HDF5 file, or damaged: {error}.") from error
+    if absent := [name for name in NAMES if name not in arrays]:
+        raise InputError(
+            f"{path} lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} "
+            f"(--names {absent[0]}=path)."
+        )
+    return _vessels(path, arrays, labels, _known_units(path, units))
+
+
+def _known_units(path: Path, units: Mapping[str, str]) -> dict[str, str]:
+    """Return the units that the file states, by what they are of."""
+    found: dict[str, str] = {}
+    for name, unit in units.items():
+        of = {"area_undeformed": "area", "period": "time"}.get(name, name)
+        if unit and unit not in UNITS[of]:
+            raise InputError(f"{path}: {name} has the unknown unit {unit!r}.")
+        if unit and found.setdefault(of, unit) != unit:
+            raise InputError(f"{path}: {name} is in {unit}, but there is also {found[of]}.")
+    return found
+
+
+def _vessels(
+    path: Path,
+    arrays: Mapping[str, npt.NDArray[Any]],
+    labels: Mapping[str, npt.NDArray[Any]],
+    units: Mapping[str, str],
+) -> list[VesselResults]:
+    for name, array in arrays.items():
+        if array.dtype.kind not in "iuf":
+            raise InputError(f"{path}: {name} holds {array.dtype}, not numbers.")
+    fields = {name: arrays[name].astype(np.float64) for name in NAMES}
+    for name, dimensions in (*((name, 2) for name in FIELDS), ("area_undeformed", 1)):
+        if fields[name].ndim == dimensions:
+            fields[name] = fields[name][np.newaxis]
+    count = len(fields["flow"]) if fields["flow"].ndim == 3 else 0
+    for name in (*FIELDS, "area_undeformed"):
+        if fields[name].ndim != (2 if name == "area_undeformed" else 3) or (
+            len(fields[name]) != count
+        ):
+            raise InputError(
+                f"{path}: {name} has the shape {arrays[name].shape}; it must be "
+                f"{'(case, z)' if name == 'area_undeformed' else '(case, time, z)'}, for as many "
+                "cases as flow has, without the case for a single one."
+            )
+    period = arrays.get("period")
+    if period is not None and period.size != 1:
+        raise InputError(f"{path}: period must be one number, it has the shape {period.shape}.")
+    for name, column in labels.items():
+        if column.shape != (count,):
+            raise InputError(f"{path}: labels/{name} has the shape {column.shape}, not ({count},).")
+    for name in ("time", "z"):
+        if fields[name].ndim != 1:
+            raise InputError(f"{path}: {name} has the shape {fields[name].shape}, not one axis.")
+    vessels = []
+    for i in range(count):
+        vessels.append(
+            VesselResults(
+                f"{path}, case {i}" if count > 1 else str(path),
+                fields["flow"][i],
+                fields["area"][i],
+                fields["pressure"][i],
+                fields["area_undeformed"][i],
+                fields["time"],
+                fields["z"],
+                labels={name: column[i] for name, column in labels.items()},
+                units=units,
+                period=None if period is None else float(period.item()),
+            )
+        )
+    return vessels
