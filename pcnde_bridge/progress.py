@@ -56,6 +56,7 @@ class TrainingProgress:
         self._task = self._bar.add_task("training", total=total, completed=done, loss="-")
         self._total, self._first, self._done = total, done, done
         self._began = self._last = time.monotonic()
+        self._counted = 0.0  # when the first iteration of this run was done
 
     def __enter__(self) -> TrainingProgress:
         self._bar.start()
@@ -74,23 +75,30 @@ class TrainingProgress:
     def __call__(self, iteration: Iteration) -> None:
         """Count one iteration."""
         self._done += 1
+        now = time.monotonic()
+        if self._done == self._first + 1:
+            self._counted = now
         stage = iteration.stage.replace("_", " ")
         where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
         self._bar.update(
             self._task, completed=self._done, description=where, loss=f"{iteration.loss:.3e}"
         )
-        now = time.monotonic()
         if now - self._last < (_DRAW_EVERY if self._draws else _LOG_EVERY):
             return
         self._last = now
         if self._draws:
             self._bar.refresh()
         else:
-            elapsed = now - self._began
-            left = elapsed / (self._done - self._first) * (self._total - self._done)
+            # Neither iterations of an earlier run nor compiling, which is before the first,
+            # tell how long the others will take.
+            counted = self._done - self._first - 1
+            left = "unknown"
+            if counted:
+                pace = (now - self._counted) / counted
+                left = f"{pace * (self._total - self._done):.0f} s"
             self._console.print(
                 f"{where}: iteration {self._done} of {self._total}, loss {iteration.loss:.3e}, "
-                f"elapsed {elapsed:.0f} s, remaining {left:.0f} s",
+                f"elapsed {now - self._began:.0f} s, remaining {left}",
                 highlight=False,
                 soft_wrap=True,
             )
