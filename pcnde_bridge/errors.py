@@ -33,3 +33,7 @@ class EngineUnavailableError(EngineError):
 
 class SolveError(EngineError):
     """A differential equation could not be integrated to the end."""
+
+
+class TaskError(PCNDEError, RuntimeError):
+    """Some of many tasks failed, so that nothing can be made of the rest."""

@@ -259,11 +259,22 @@ class PCNDE:
         SolveError
             If the equations diverge for an input.
         """
+        return self.warned(self.predict_silently(inflow, area_undeformed, z, period, samples, seed))
+
+    def predict_silently(
+        self,
+        inflow: npt.ArrayLike | Cases,
+        area_undeformed: npt.ArrayLike | None = None,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+        samples: int = 0,
+        seed: int = 0,
+    ) -> Prediction:
+        """Predict as :meth:`predict` does, without its warning of extrapolation."""
         if isinstance(inflow, Cases):
             if area_undeformed is not None or z is not None or period is not None:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
-            cases = inflow
-            return self._warned(self._predict_cases(cases, samples, seed))
+            return self._predict_cases(inflow, samples, seed)
         if area_undeformed is None:
             raise InputError("predict needs area_undeformed beside the inflow.")
         grid = self._grid_of(inflow, z, period)
@@ -284,7 +295,7 @@ class PCNDE:
         q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
         s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
         labels = pd.DataFrame({"case": np.arange(count)})
-        return self._warned(self._predict(q, s_u, grid, labels, samples, seed))
+        return self._predict(q, s_u, grid, labels, samples, seed)
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         if not self.any_grid:
@@ -367,8 +378,8 @@ class PCNDE:
             *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn
         )
 
-    def _warned(self, prediction: Prediction) -> Prediction:
-        """Warn the caller of :meth:`predict` if inputs lie outside the training data."""
+    def warned(self, prediction: Prediction) -> Prediction:
+        """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
         score = prediction.novelty
         outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
         if score is None or self.novelty is None or outside == 0:
@@ -542,4 +553,3 @@ def _part(of: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | 
     start = f"{prefix}_"
     mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
     return of(**mine) if mine else None
-
