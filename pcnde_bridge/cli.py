@@ -5,9 +5,11 @@ Exit codes: 0 good, 2 bad use or input, 1 failure, 130 interrupted.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
+import shutil
 import sys
 import warnings
 from enum import Enum
@@ -17,17 +19,20 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.errors import FileError, InputError, PCNDEError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, check_writable
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from pcnde_bridge.bench import Row
     from pcnde_bridge.cases import Cases
+    from pcnde_bridge.ensemble import Ensemble
     from pcnde_bridge.model import PCNDE
 
 app = typer.Typer(
@@ -74,6 +79,10 @@ ConfigOption = Annotated[
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
 EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=1, help="Processes that fit at the same time.")
+]
+_MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
 
 @app.command()
@@ -93,33 +102,101 @@ def fit(
             "removed when the model is saved.",
         ),
     ] = None,
+    members: Annotated[
+        int,
+        typer.Option(
+            "--members", min=1, help="More than one: an ensemble, with uncertainty (many fits)."
+        ),
+    ] = 1,
+    workers: WorkersOption = 1,
 ) -> None:
     """Train a model; an interrupted run continues when started again."""
     from pcnde_bridge.datasets import load_cases
-    from pcnde_bridge.model import PCNDE
 
     settings = _settings(preset, config)
-    state = checkpoint or out.with_name(out.name + ".checkpoint")
     sets = _split(load_cases(data), split)
     if out.is_dir() or not out.parent.is_dir():
         raise FileError(f"Cannot write {out}: give a file in an existing folder.")
-    if state.exists():
-        _notes.print(f"Continuing from {state}.", highlight=False, soft_wrap=True)
-    try:
-        model = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed, checkpoint=state)
-    except KeyboardInterrupt:
-        _notes.print(
-            f"\nInterrupted. The state of training is in {state}: run the same command again to "
-            "continue.",
-            highlight=False,
-            soft_wrap=True,
-        )
-        raise typer.Exit(130) from None
-    model.save(out)
-    if checkpoint is None:
-        state.unlink(missing_ok=True)
+    check_writable(out, members * _MODEL_SIZE)
+    model: PCNDE | Ensemble
+    if members > 1:
+        if checkpoint is not None:
+            raise InputError("An ensemble keeps its fits in OUT.fits: leave --checkpoint out.")
+        model = _fit_ensemble(sets["train"], settings, engine, seed, members, workers, out)
+    else:
+        if workers > 1:
+            raise InputError("A single fit has one process: give --members, or no --workers.")
+        state = checkpoint or out.with_name(out.name + ".checkpoint")
+        model = _fit_model(sets["train"], settings, engine, seed, state)
+        model.save(out)
+        if checkpoint is None:
+            checkpoints.remove(state)
     _print_errors(_errors(model, sets))
     _out.print(f"Saved {out}.", highlight=False, soft_wrap=True)
+
+
+@app.command("cross-validate")
+def cross_validate_(
+    data: DataArgument,
+    split: SplitOption = "paper",
+    preset: PresetOption = "paper",
+    config: ConfigOption = None,
+    engine: EngineOption = EngineChoice.auto,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", help="Keeps every finished fit, so that the run can continue."),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Also write the table.")] = None,
+) -> None:
+    """Print errors on each waveform and geometry left out of the training cases."""
+    from pcnde_bridge.cross_validation import cross_validate
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.tasks import processes
+
+    settings = _settings(preset, config)
+    if csv is not None:
+        check_writable(csv)
+    table = cross_validate(
+        _split(load_cases(data), split)["train"],
+        settings,
+        engine.value,
+        seed,
+        executor=processes(workers),
+        folder=folder,
+    )
+    if csv is not None:
+        with atomic_write(csv) as temporary:
+            table.to_csv(temporary)
+    variables = [name for name in ("flow", "area", "pressure") if name in table]
+    rows = [(f"{label} {value}", row) for (label, value), row in table[variables].iterrows()]
+    rows += [
+        (f"mean of {k}s", row) for k, row in table[variables].groupby("label").mean().iterrows()
+    ]
+    _print_errors({name: {k: float(row[k]) for k in variables} for name, row in rows})
+    for (label, value), why in table["failure"].dropna().items():
+        _say(f"{label} {value}: {why}")
+
+
+@app.command()
+def info(
+    model: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A model, an ensemble or a checkpoint.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with all settings.")] = False,
+) -> None:
+    """Print what a file holds, and what is needed to run its fit again."""
+    from pcnde_bridge.info import describe, lines
+
+    found = describe(model)
+    if as_json:
+        sys.stdout.write(json.dumps(found, indent=1) + "\n")
+        return
+    table = Table(show_header=False)
+    for name, text in lines(found):
+        table.add_row(name, Text(text))
+    _out.print(table)
 
 
 @app.command()
@@ -139,9 +216,9 @@ def evaluate(
     import pandas as pd
 
     from pcnde_bridge.datasets import load_cases
-    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.ensemble import load_model
 
-    fitted = PCNDE.load(model, engine=engine.value)
+    fitted = load_model(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     pooled = {name: _pooled(table) for name, table in tables.items()}
@@ -174,7 +251,8 @@ def predict(
         typer.Option(
             "--samples",
             min=0,
-            help="Draws for the standard deviations in a .csv (preset physics); 64 are enough.",
+            help="Draws for the standard deviations in a .csv (preset physics; 64 are enough). "
+            "An ensemble always gives them.",
         ),
     ] = 0,
 ) -> None:
@@ -183,22 +261,24 @@ def predict(
     A model of the preset physics takes any equally spaced instants of a cycle and any
     points; another those of its training.
     """
-    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.ensemble import Ensemble, load_model
     from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
     if out.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
         raise InputError(f"Cannot tell the format of {out}: it must end in .csv, .npz or .h5.")
     if samples and out.suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
-    fitted = PCNDE.load(model, engine=engine.value)
+    fitted = load_model(model, engine=engine.value)
+    # The members of an ensemble are its samples.
+    draws = {} if isinstance(fitted, Ensemble) else {"samples": samples}
     if fitted.any_grid:
         period, q = read_cycle(inflow)
         z, s_u = read_table(area, "z")
-        prediction = fitted.predict(q, s_u, z=z, period=period, samples=samples)
+        prediction = fitted.predict(q, s_u, z=z, period=period, **draws)
     else:
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
-        prediction = fitted.predict(q, s_u, samples=samples)
+        prediction = fitted.predict(q, s_u, **draws)
     if out.suffix == ".csv":
         with atomic_write(out) as temporary:
             prediction.to_frame().to_csv(temporary, index=False)
@@ -294,6 +374,14 @@ def bench(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write the results to this file.")
     ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            "--checkpoint",
+            help="File that keeps the state of training; default bench-….checkpoint in this "
+            "folder, removed after the training.",
+        ),
+    ] = None,
 ) -> None:
     """Print errors and times of a model and of the baselines, side by side."""
     from pcnde_bridge.baselines import standard_baselines
@@ -307,7 +395,13 @@ def bench(
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     if fitted is None:
-        fitted = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed)
+        # Named by what is trained, so that it is never another run's.
+        key = json.dumps([sets["train"].fingerprint(), settings.to_dict(), engine.value, seed])
+        name = f"bench-{hashlib.sha256(key.encode()).hexdigest()[:12]}.checkpoint"
+        state = checkpoint or Path(name)
+        fitted = _fit_model(sets["train"], settings, engine, seed, state)
+        if checkpoint is None:
+            checkpoints.remove(state)
     rows = [bench_model(fitted, sets)]
     for name, baseline in standard_baselines().items():
         rows.append(bench_baseline(name, baseline, sets))
@@ -420,11 +514,72 @@ def _settings(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
     return settings.replace(**changes)
 
 
+def _fit_model(
+    train: Cases,
+    settings: PCNDEConfig | ClosureConfig,
+    engine: EngineChoice,
+    seed: int,
+    state: Path,
+) -> PCNDE:
+    """Train from the start or from the checkpoint; after Ctrl-C, say how to go on."""
+    from pcnde_bridge.model import PCNDE
+
+    if state.exists():
+        _say_note(f"Continuing from {state}.")
+    try:
+        return PCNDE.fit(train, settings, engine=engine.value, seed=seed, checkpoint=state)
+    except KeyboardInterrupt:
+        raise _interrupted(f"The state of training is in {state}") from None
+
+
+def _fit_ensemble(
+    train: Cases,
+    settings: PCNDEConfig | ClosureConfig,
+    engine: EngineChoice,
+    seed: int,
+    members: int,
+    workers: int,
+    out: Path,
+) -> Ensemble:
+    """Fit an ensemble, keeping finished fits beside its file until that is written."""
+    from pcnde_bridge.ensemble import Ensemble
+    from pcnde_bridge.tasks import processes
+
+    folder = out.with_name(out.name + ".fits")
+    if folder.exists():
+        _say_note(f"Continuing with the finished fits in {folder}.")
+    try:
+        ensemble = Ensemble.fit(
+            train,
+            settings,
+            engine.value,
+            seed,
+            members=members,
+            executor=processes(workers),  # also one, so that their number changes no bit
+            folder=folder,
+        )
+    except KeyboardInterrupt:
+        raise _interrupted(f"The finished fits are in {folder}") from None
+    ensemble.save(out)
+    if not ensemble.provenance["failures"]:
+        shutil.rmtree(folder)
+    return ensemble
+
+
+def _interrupted(where: str) -> typer.Exit:
+    _say_note(f"\nInterrupted. {where}: run the same command again to continue.")
+    return typer.Exit(130)
+
+
+def _say_note(text: str) -> None:
+    _notes.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
 def _split(cases: Cases, how: str) -> dict[str, Cases]:
     return {"train": cases} if how == "none" else cases.split(how)._asdict()
 
 
-def _errors(model: PCNDE, sets: dict[str, Cases]) -> dict[str, dict[str, float]]:
+def _errors(model: PCNDE | Ensemble, sets: dict[str, Cases]) -> dict[str, dict[str, float]]:
     return {name: _pooled(model.evaluate(cases)) for name, cases in sets.items()}
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.baselines import Unchanged
 from pcnde_bridge.cases import Cases
@@ -139,7 +140,7 @@ def run_demo(
         train, settings, engine=computing, seed=seed, checkpoint=state, progress=progress
     )
     model.save(folder / "model.npz")
-    state.unlink(missing_ok=True)
+    checkpoints.remove(state)
 
     errors, table = _evaluate(model, {"train": train, "test": test})
     _write_table(folder / "errors.csv", table)

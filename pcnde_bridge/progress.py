@@ -134,7 +134,7 @@ class TaskProgress:
         )
         self._task = self._bar.add_task("tasks", total=total, completed=done)
         self._total, self._first, self._done = total, done, done
-        self._began = time.monotonic()
+        self._began = self._last = time.monotonic()
 
     def __enter__(self) -> TaskProgress:
         self._bar.start()
@@ -148,13 +148,16 @@ class TaskProgress:
         self._done += 1
         if not self._show:
             return
-        elapsed = time.monotonic() - self._began
+        now = time.monotonic()
+        elapsed = now - self._began
         left = elapsed / (self._done - self._first) * (self._total - self._done)
         remaining = f"remaining {left:.0f} s"
         if self._draws:
             self._bar.update(self._task, completed=self._done, description=f"tasks, {remaining}")
             self._bar.refresh()
-        if failure is not None or not self._draws:
+        due = now - self._last >= _LOG_EVERY and not self._draws
+        if failure is not None or due:
+            self._last = now
             what = "done" if failure is None else f"failed: {failure}"
             self._console.print(
                 f"{self._done} of {self._total} tasks: {name} {what}, elapsed {elapsed:.0f} s, "
