@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.files import atomic_write, check_writable
+from pcnde_bridge.files import atomic_write, check_writable, remove_leftovers
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 State = TypeVar("State")
@@ -62,6 +62,8 @@ class Checkpoint:
         FileError
             Saying why: no folder, no permission, or not enough space.
         """
+        for path in (self.path, previous(self.path)):
+            remove_leftovers(path)
         # Two are kept while a third is written.
         check_writable(self.path, 3 * 8 * numbers + _ROOM)
 

@@ -9,7 +9,6 @@ import hashlib
 import json
 import logging
 import os
-import shutil
 import sys
 import warnings
 from enum import Enum
@@ -170,10 +169,9 @@ def cross_validate_(
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
     variables = [name for name in ("flow", "area", "pressure") if name in table]
-    rows = [(f"{label} {value}", row) for (label, value), row in table[variables].iterrows()]
-    rows += [
-        (f"mean of {k}s", row) for k, row in table[variables].groupby("label").mean().iterrows()
-    ]
+    errors = table[variables]
+    rows = [(f"{label} {value}", row) for (label, value), row in errors.iterrows()]
+    rows += [(f"mean, {label}", row) for label, row in errors.groupby("label").mean().iterrows()]
     _print_errors({name: {k: float(row[k]) for k in variables} for name, row in rows})
     for (label, value), why in table["failure"].dropna().items():
         _say(f"{label} {value}: {why}")
@@ -543,7 +541,7 @@ def _fit_ensemble(
 ) -> Ensemble:
     """Fit an ensemble, keeping finished fits beside its file until that is written."""
     from pcnde_bridge.ensemble import Ensemble
-    from pcnde_bridge.tasks import processes
+    from pcnde_bridge.tasks import processes, remove_results
 
     folder = out.with_name(out.name + ".fits")
     if folder.exists():
@@ -562,7 +560,7 @@ def _fit_ensemble(
         raise _interrupted(f"The finished fits are in {folder}") from None
     ensemble.save(out)
     if not ensemble.provenance["failures"]:
-        shutil.rmtree(folder)
+        remove_results(folder)
     return ensemble
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import hashlib
 import os
 import secrets
@@ -90,6 +91,18 @@ def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
             f"cannot write {str(path)!r}: about {size / 1e6:.1f} MB are needed, and "
             f"{free / 1e6:.1f} MB are free on the disk; free some space or choose another folder"
         )
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove temporary files of a process that was killed while it wrote a file.
+
+    Only for files that no other process may be writing.
+    """
+    target = Path(path).resolve()
+    pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}{glob.escape(target.suffix)}"
+    for temporary in target.parent.glob(pattern):
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 def _places(path: str | os.PathLike[str]) -> tuple[Path, Path]:

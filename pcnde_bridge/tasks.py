@@ -26,6 +26,7 @@ all cores that the process may use, or the environment variable ``NPROC``, one i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import multiprocessing
@@ -41,7 +42,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.archive import archive_kind, read_archive, write_archive
 from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
 from pcnde_bridge.files import check_writable
 from pcnde_bridge.progress import TaskProgress
@@ -321,6 +322,15 @@ def _at_once(
             future.cancel()
         if not isinstance(executor, Executor):
             pool.shutdown(wait=done_well, cancel_futures=True)
+
+
+def remove_results(folder: str | os.PathLike[str]) -> None:
+    """Remove the results that :func:`run` kept, and the folder if nothing else is in it."""
+    for path in Path(folder).glob("*.npz"):
+        if archive_kind(path) == _KIND:
+            path.unlink()
+    with contextlib.suppress(OSError):
+        Path(folder).rmdir()
 
 
 class _Kept:
