@@ -15,6 +15,7 @@ nothing.  Exits with 1 if a file was unreadable or a result differed.
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import signal
 import subprocess
@@ -79,12 +80,19 @@ def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: ran
 
     def start(checkpoint: Path, out: Path) -> subprocess.Popen[bytes]:
         arguments = [str(folder), kind, engine, str(checkpoint), str(out)]
-        return subprocess.Popen([sys.executable, "-c", FIT, *arguments])
+        # What is compiled is kept, so that more of the kills are in the training.
+        kept = {
+            "JAX_COMPILATION_CACHE_DIR": str(folder / "compiled"),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+        return subprocess.Popen([sys.executable, "-c", FIT, *arguments], env={**os.environ, **kept})
 
-    began = time.monotonic()
-    if start(folder / "reference.checkpoint", folder / "reference.npz").wait():
-        sys.exit("The fit without interruption failed.")
-    seconds = time.monotonic() - began
+    for _ in range(2):  # the first compiles
+        began = time.monotonic()
+        remove(folder / "reference.checkpoint")
+        if start(folder / "reference.checkpoint", folder / "reference.npz").wait():
+            sys.exit("The fit without interruption failed.")
+        seconds = time.monotonic() - began
     reference = PCNDE.load(folder / "reference.npz", engine="jax")
     print(f"{preset}: {seconds:.0f} s without interruption", flush=True)
     kills, unreadable, different, finished = 0, 0, 0, 0

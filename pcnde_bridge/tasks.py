@@ -52,7 +52,7 @@ Workers = Executor | Callable[[], Executor]
 """An executor, or what makes one, such as :func:`processes`."""
 
 _KIND, _VERSION = "pcnde-task", 1
-_NAME = re.compile(r"[\w.,=+-][\w .,=+-]*")
+_NAME = re.compile(r"\w[\w .,=+-]*")
 
 _BROKEN = (
     "a worker process died, and its pool with it; give what makes a pool, such as processes(2)"
