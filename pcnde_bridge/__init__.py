@@ -15,8 +15,10 @@ from pcnde_bridge.config import (
     ClosureConfig,
     PCNDEConfig,
 )
+from pcnde_bridge.cross_validation import cross_validate
 from pcnde_bridge.datasets import download_published, load_cases
 from pcnde_bridge.engines import select_engine
+from pcnde_bridge.ensemble import Ensemble, load_model
 from pcnde_bridge.errors import (
     DataNotFoundError,
     EngineError,
@@ -25,10 +27,12 @@ from pcnde_bridge.errors import (
     InputError,
     PCNDEError,
     SolveError,
+    TaskError,
 )
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.novelty import OutsideTrainingWarning
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.sweeps import sweep
 
 __all__ = [
     "FAST",
@@ -42,6 +46,7 @@ __all__ = [
     "DataNotFoundError",
     "EngineError",
     "EngineUnavailableError",
+    "Ensemble",
     "FileError",
     "InputError",
     "OutsideTrainingWarning",
@@ -50,9 +55,13 @@ __all__ = [
     "Prediction",
     "SolveError",
     "Split",
+    "TaskError",
     "UnitsWarning",
     "__version__",
+    "cross_validate",
     "download_published",
     "load_cases",
+    "load_model",
     "select_engine",
+    "sweep",
 ]

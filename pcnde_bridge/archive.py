@@ -132,5 +132,17 @@ def read_archive(
     return facts, arrays
 
 
+def archive_kind(path: str | os.PathLike[str]) -> str | None:
+    """Return the kind that an archive says it is, or None if it is none or cannot be read."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if archive.zip.getinfo(f"{_HEADER}.npy").file_size > _LARGEST_HEADER:
+                return None
+            kind = json.loads(str(archive[_HEADER]))["format"]
+    except Exception:
+        return None  # :func:`read_archive` says what is wrong
+    return kind if isinstance(kind, str) else None
+
+
 class _Foreign(Exception):
     """The file is no archive of this package."""

@@ -5,6 +5,7 @@ Exit codes: 0 good, 2 bad use or input, 1 failure, 130 interrupted.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -17,17 +18,20 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.errors import FileError, InputError, PCNDEError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, check_writable
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from pcnde_bridge.bench import Row
     from pcnde_bridge.cases import Cases
+    from pcnde_bridge.ensemble import Ensemble
     from pcnde_bridge.model import PCNDE
 
 app = typer.Typer(
@@ -90,6 +94,10 @@ ConfigOption = Annotated[
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
 EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=1, help="Processes that fit at the same time.")
+]
+_MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
 
 @app.command()
@@ -109,32 +117,98 @@ def fit(
             "removed when the model is saved.",
         ),
     ] = None,
+    members: Annotated[
+        int,
+        typer.Option(
+            "--members", min=1, help="More than one: an ensemble, with uncertainty (many fits)."
+        ),
+    ] = 1,
+    workers: WorkersOption = 1,
 ) -> None:
     """Train a model; an interrupted run continues when started again."""
     from pcnde_bridge.datasets import load_cases
-    from pcnde_bridge.model import PCNDE
 
     settings = _settings(preset, config)
-    state = checkpoint or out.with_name(out.name + ".checkpoint")
-    _check_writable(out)
+    _check_writable(out, size=members * _MODEL_SIZE)
     sets = _split(load_cases(data), split)
-    if state.exists():
-        _notes.print(f"Continuing from {state}.", highlight=False, soft_wrap=True)
-    try:
-        model = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed, checkpoint=state)
-    except KeyboardInterrupt:
-        _notes.print(
-            f"\nInterrupted. The state of training is in {state}: run the same command again to "
-            "continue.",
-            highlight=False,
-            soft_wrap=True,
-        )
-        raise typer.Exit(130) from None
-    model.save(out)
-    if checkpoint is None:
-        state.unlink(missing_ok=True)
+    model: PCNDE | Ensemble
+    if members > 1:
+        if checkpoint is not None:
+            raise InputError("An ensemble keeps its fits in OUT.fits: leave --checkpoint out.")
+        model = _fit_ensemble(sets["train"], settings, engine, seed, members, workers, out)
+    else:
+        if workers > 1:
+            raise InputError("A single fit has one process: give --members, or no --workers.")
+        state = checkpoint or out.with_name(out.name + ".checkpoint")
+        model = _fit_model(sets["train"], settings, engine, seed, state)
+        model.save(out)
+        if checkpoint is None:
+            checkpoints.remove(state)
     _print_errors(_errors(model, sets))
     _out.print(f"Saved {out}.", highlight=False, soft_wrap=True)
+
+
+@app.command("cross-validate")
+def cross_validate_(
+    data: DataArgument,
+    split: SplitOption = "paper",
+    preset: PresetOption = "paper",
+    config: ConfigOption = None,
+    engine: EngineOption = EngineChoice.auto,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", help="Keeps every finished fit, so that the run can continue."),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Also write the table.")] = None,
+) -> None:
+    """Print errors on each waveform and geometry left out of the training cases."""
+    from pcnde_bridge.cross_validation import cross_validate
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.tasks import processes
+
+    settings = _settings(preset, config)
+    if csv is not None:
+        check_writable(csv)
+    table = cross_validate(
+        _split(load_cases(data), split)["train"],
+        settings,
+        engine.value,
+        seed,
+        executor=processes(workers),
+        folder=folder,
+    )
+    if csv is not None:
+        with atomic_write(csv) as temporary:
+            table.to_csv(temporary)
+    variables = [name for name in ("flow", "area", "pressure") if name in table]
+    errors = table[variables]
+    rows = [(f"{label} {value}", row) for (label, value), row in errors.iterrows()]
+    rows += [(f"mean, {label}", row) for label, row in errors.groupby("label").mean().iterrows()]
+    _print_errors({name: {k: float(row[k]) for k in variables} for name, row in rows})
+    for (label, value), why in table["failure"].dropna().items():
+        _say(f"{label} {value}: {why}")
+
+
+@app.command()
+def info(
+    model: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A model, an ensemble or a checkpoint.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with all settings.")] = False,
+) -> None:
+    """Print what a file holds, and what is needed to run its fit again."""
+    from pcnde_bridge.info import describe, lines
+
+    found = describe(model)
+    if as_json:
+        sys.stdout.write(json.dumps(found, indent=1) + "\n")
+        return
+    table = Table(show_header=False)
+    for name, text in lines(found):
+        table.add_row(name, Text(text))
+    _out.print(table)
 
 
 @app.command()
@@ -154,10 +228,10 @@ def evaluate(
     import pandas as pd
 
     from pcnde_bridge.datasets import load_cases
-    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.ensemble import load_model
 
     _check_writable(json_file, per_case)
-    fitted = PCNDE.load(model, engine=engine.value)
+    fitted = load_model(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     pooled = {name: _pooled(table) for name, table in tables.items()}
@@ -195,7 +269,8 @@ def predict(
         typer.Option(
             "--samples",
             min=0,
-            help="Draws for the standard deviations in a .csv (preset physics); 64 are enough.",
+            help="Draws for the standard deviations in a .csv (preset physics; 64 are enough). "
+            "An ensemble always gives them.",
         ),
     ] = 0,
 ) -> None:
@@ -204,23 +279,25 @@ def predict(
     A model of the preset physics takes any equally spaced instants of a cycle and any
     points; another those of its training.
     """
-    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.ensemble import Ensemble, load_model
     from pcnde_bridge.prediction import check_target
     from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
     suffix = check_target(out, has_pressure=True)
     if samples and suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
-    fitted = PCNDE.load(model, engine=engine.value)
+    fitted = load_model(model, engine=engine.value)
     check_target(out, fitted.has_pressure)
+    # The members of an ensemble are its samples.
+    draws = {} if isinstance(fitted, Ensemble) else {"samples": samples}
     if fitted.any_grid:
         period, q = read_cycle(inflow)
         z, s_u = read_table(area, "z")
-        prediction = fitted.predict(q, s_u, z=z, period=period, samples=samples)
+        prediction = fitted.predict(q, s_u, z=z, period=period, **draws)
     else:
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
-        prediction = fitted.predict(q, s_u, samples=samples)
+        prediction = fitted.predict(q, s_u, **draws)
     prediction.save(out)
     cases = "case" if len(prediction) == 1 else "cases"
     _out.print(f"Saved {len(prediction)} {cases} in {out}.", highlight=False, soft_wrap=True)
@@ -392,6 +469,14 @@ def bench(
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write the results to this file.")
     ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            "--checkpoint",
+            help="File that keeps the state of training; default bench-….checkpoint in this "
+            "folder, removed after the training.",
+        ),
+    ] = None,
 ) -> None:
     """Print errors and times of a model and of the baselines, side by side."""
     from pcnde_bridge.baselines import standard_baselines
@@ -404,7 +489,13 @@ def bench(
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     if fitted is None:
-        fitted = PCNDE.fit(sets["train"], settings, engine=engine.value, seed=seed)
+        # Named by what is trained, so that it is never another run's.
+        key = json.dumps([sets["train"].fingerprint(), settings.to_dict(), engine.value, seed])
+        name = f"bench-{hashlib.sha256(key.encode()).hexdigest()[:12]}.checkpoint"
+        state = checkpoint or Path(name)
+        fitted = _fit_model(sets["train"], settings, engine, seed, state)
+        if checkpoint is None:
+            checkpoints.remove(state)
     rows = [bench_model(fitted, sets)]
     for name, baseline in standard_baselines().items():
         rows.append(bench_baseline(name, baseline, sets))
@@ -504,11 +595,13 @@ def _fail(message: str, code: int) -> None:
     sys.exit(code)
 
 
-def _check_writable(*paths: Path | None) -> None:
+def _check_writable(*paths: Path | None, size: int = 0) -> None:
     """Refuse files that cannot be written, before anything is computed."""
     for path in paths:
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             raise FileError(f"Cannot write {path}: give a file in an existing folder.")
+        if path is not None:
+            check_writable(path, size)
 
 
 def _check_data_set(path: Path) -> None:
@@ -540,11 +633,72 @@ def _pairs(text: str | None, option: str) -> dict[str, str] | None:
     return {name: value for name, _, value in parts}
 
 
+def _fit_model(
+    train: Cases,
+    settings: PCNDEConfig | ClosureConfig,
+    engine: EngineChoice,
+    seed: int,
+    state: Path,
+) -> PCNDE:
+    """Train from the start or from the checkpoint; after Ctrl-C, say how to go on."""
+    from pcnde_bridge.model import PCNDE
+
+    if state.exists():
+        _say_note(f"Continuing from {state}.")
+    try:
+        return PCNDE.fit(train, settings, engine=engine.value, seed=seed, checkpoint=state)
+    except KeyboardInterrupt:
+        raise _interrupted(f"The state of training is in {state}") from None
+
+
+def _fit_ensemble(
+    train: Cases,
+    settings: PCNDEConfig | ClosureConfig,
+    engine: EngineChoice,
+    seed: int,
+    members: int,
+    workers: int,
+    out: Path,
+) -> Ensemble:
+    """Fit an ensemble, keeping finished fits beside its file until that is written."""
+    from pcnde_bridge.ensemble import Ensemble
+    from pcnde_bridge.tasks import processes, remove_results
+
+    folder = out.with_name(out.name + ".fits")
+    if folder.exists():
+        _say_note(f"Continuing with the finished fits in {folder}.")
+    try:
+        ensemble = Ensemble.fit(
+            train,
+            settings,
+            engine.value,
+            seed,
+            members=members,
+            executor=processes(workers),  # also one, so that their number changes no bit
+            folder=folder,
+        )
+    except KeyboardInterrupt:
+        raise _interrupted(f"The finished fits are in {folder}") from None
+    ensemble.save(out)
+    if not ensemble.provenance["failures"]:
+        remove_results(folder)
+    return ensemble
+
+
+def _interrupted(where: str) -> typer.Exit:
+    _say_note(f"\nInterrupted. {where}: run the same command again to continue.")
+    return typer.Exit(130)
+
+
+def _say_note(text: str) -> None:
+    _notes.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
 def _split(cases: Cases, how: str) -> dict[str, Cases]:
     return {"train": cases} if how == "none" else cases.split(how)._asdict()
 
 
-def _errors(model: PCNDE, sets: dict[str, Cases]) -> dict[str, dict[str, float]]:
+def _errors(model: PCNDE | Ensemble, sets: dict[str, Cases]) -> dict[str, dict[str, float]]:
     return {name: _pooled(model.evaluate(cases)) for name, cases in sets.items()}
 
 

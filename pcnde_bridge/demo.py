@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.baselines import Unchanged
 from pcnde_bridge.cases import Cases
@@ -140,7 +141,7 @@ def run_demo(
         train, settings, engine=computing, seed=seed, checkpoint=state, progress=progress
     )
     model.save(folder / "model.npz")
-    state.unlink(missing_ok=True)
+    checkpoints.remove(state)
 
     predictions = {"train": model.predict(train), "test": model.predict(test)}
     errors, table = _evaluate(predictions, {"train": train, "test": test})

@@ -37,3 +37,7 @@ class SolveError(EngineError):
 
 class MissingExtraError(PCNDEError, ImportError):
     """An optional package is not installed; the message names the extra that brings it."""
+
+
+class TaskError(PCNDEError, RuntimeError):
+    """Some of many tasks failed, so that nothing can be made of the rest."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import hashlib
 import os
 import secrets
+import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -48,18 +50,9 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     >>> with atomic_write("result.txt") as temporary:  # doctest: +SKIP
     ...     temporary.write_text("42")
     """
-    target = Path(path).resolve()
-    if not target.parent.is_dir():
-        raise FileError(
-            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist; "
-            "create it first"
-        )
-    if target.is_dir():
-        raise FileError(f"cannot write {str(path)!r}: it is a folder; give a file name")
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
+    target, temporary = _places(path)
     try:
-        # Not tempfile.mkstemp, whose files only their owner may read.
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        _create(temporary)
         yield temporary
         _flush(temporary)
         temporary.replace(target)
@@ -70,6 +63,66 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         if isinstance(error, OSError) and not isinstance(error, PCNDEError):
             raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
         raise
+
+
+def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
+    """Raise if a file could not be written: to be called before long work.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file that will be written; it is not touched.
+    size : int
+        Bytes that must be free on its disk.
+
+    Raises
+    ------
+    FileError
+        As :func:`atomic_write`, or when too little space is free.
+    """
+    target, temporary = _places(path)
+    try:
+        _create(temporary)
+        temporary.unlink()
+        free = shutil.disk_usage(target.parent).free
+    except OSError as error:
+        raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
+    if free < size:
+        raise FileError(
+            f"cannot write {str(path)!r}: about {size / 1e6:.1f} MB are needed, and "
+            f"{free / 1e6:.1f} MB are free on the disk; free some space or choose another folder"
+        )
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove temporary files of a process that was killed while it wrote a file.
+
+    Only for files that no other process may be writing.
+    """
+    target = Path(path).resolve()
+    pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}{glob.escape(target.suffix)}"
+    for temporary in target.parent.glob(pattern):
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def _places(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Return the file that a path means, and a temporary one beside it, or raise."""
+    target = Path(path).resolve()
+    if not target.parent.is_dir():
+        raise FileError(
+            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist; "
+            "create it first"
+        )
+    if target.is_dir():
+        raise FileError(f"cannot write {str(path)!r}: it is a folder; give a file name")
+    name = f".{target.name}.{secrets.token_hex(4)}{target.suffix}"
+    return target, target.with_name(name)
+
+
+def _create(path: Path) -> None:
+    """Make an empty file; not by tempfile.mkstemp, whose files only their owner may read."""
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
 
 
 def _flush(path: Path) -> None:

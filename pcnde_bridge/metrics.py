@@ -92,3 +92,19 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
     return pd.DataFrame([*rows, pooled], index=index)
+
+
+def coverage(intervals: Mapping[str, tuple[Array, Array]], cases: Cases) -> dict[str, float]:
+    """Share of the true values that lie inside their intervals.
+
+    Parameters
+    ----------
+    intervals : mapping of str to pair of arrays of shape (case, time, z)
+        Lower and upper limits, as :meth:`pcnde_bridge.Prediction.interval` returns.
+    cases : Cases
+        The truth.
+    """
+    return {
+        name: float(((low <= getattr(cases, name)) & (getattr(cases, name) <= high)).mean())
+        for name, (low, high) in intervals.items()
+    }

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-import platform
 import warnings
 from collections.abc import Callable, Mapping
-from datetime import datetime, timezone
-from importlib.metadata import version as version_of
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +14,6 @@ import pandas as pd
 
 from pcnde_bridge import history as histories
 from pcnde_bridge import recipes
-from pcnde_bridge._version import __version__
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
@@ -31,6 +27,7 @@ from pcnde_bridge.metrics import error_table
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.provenance import provenance
 from pcnde_bridge.published_weights import read_published_weights
 
 Array = npt.NDArray[np.float64]
@@ -58,8 +55,8 @@ class PCNDE:
     engine : Engine
         Computes the predictions.
     provenance : dict
-        What is needed to run the fit again: seed, batches, data fingerprint,
-        engine, versions, time.
+        What is needed to run the fit again: seed, batches, labels and
+        fingerprint of the cases, engine, versions, command, time.
     uncertainty : Uncertainty or None
         What samples of a prediction are made of; the ``physics`` preset has it.
     novelty : Novelty or None
@@ -115,7 +112,8 @@ class PCNDE:
         checkpoint : path-like, optional
             File that keeps the state of training after every epoch.  If it
             exists, training continues from it, to the same result as without
-            the interruption, bit for bit.  Ctrl-C writes it too.
+            the interruption, bit for bit.  Ctrl-C writes it too.  The state
+            before is kept beside it (``.previous``), should it be damaged.
         progress : bool or callable
             Show progress, or call with every
             :class:`~pcnde_bridge.history.Iteration`.
@@ -159,7 +157,7 @@ class PCNDE:
             trained.parameters,
             Grid(cases.time, cases.z, cases.period),
             engine,
-            _provenance(cases, trained.facts, engine),
+            {**provenance(cases, engine, int(seed)), **trained.facts},
             trained.history,
             trained.uncertainty,
             Novelty.of(cases.inflow, cases.area_undeformed, cases.z),
@@ -261,11 +259,22 @@ class PCNDE:
         SolveError
             If the equations diverge for an input.
         """
+        return self.warned(self.predict_silently(inflow, area_undeformed, z, period, samples, seed))
+
+    def predict_silently(
+        self,
+        inflow: npt.ArrayLike | Cases,
+        area_undeformed: npt.ArrayLike | None = None,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+        samples: int = 0,
+        seed: int = 0,
+    ) -> Prediction:
+        """Predict as :meth:`predict` does, without its warning of extrapolation."""
         if isinstance(inflow, Cases):
             if area_undeformed is not None or z is not None or period is not None:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
-            cases = inflow
-            return self._warned(self._predict_cases(cases, samples, seed))
+            return self._predict_cases(inflow, samples, seed)
         if area_undeformed is None:
             raise InputError("predict needs area_undeformed beside the inflow.")
         grid = self._grid_of(inflow, z, period)
@@ -286,7 +295,7 @@ class PCNDE:
         q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
         s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
         labels = pd.DataFrame({"case": np.arange(count)})
-        return self._warned(self._predict(q, s_u, grid, labels, samples, seed))
+        return self._predict(q, s_u, grid, labels, samples, seed)
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         if not self.any_grid:
@@ -369,8 +378,8 @@ class PCNDE:
             *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn
         )
 
-    def _warned(self, prediction: Prediction) -> Prediction:
-        """Warn the caller of :meth:`predict` if inputs lie outside the training data."""
+    def warned(self, prediction: Prediction) -> Prediction:
+        """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
         score = prediction.novelty
         outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
         if score is None or self.novelty is None or outside == 0:
@@ -421,6 +430,10 @@ class PCNDE:
         FileError
             If the file cannot be written.
         """
+        write_archive(path, _KIND, _VERSION, *self.to_archive())
+
+    def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+        """Return all that a file of the model holds: facts for JSON, and arrays."""
         facts = {"config": self.config.to_dict(), "provenance": self.provenance}
         arrays = {
             "time": self.grid.time,
@@ -432,7 +445,7 @@ class PCNDE:
         for prefix, part in (("uncertainty", self.uncertainty), ("novelty", self.novelty)):
             if part is not None:
                 arrays |= {f"{prefix}_{name}": array for name, array in part}
-        write_archive(path, _KIND, _VERSION, facts, arrays)
+        return facts, arrays
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> PCNDE:
@@ -451,6 +464,23 @@ class PCNDE:
             If the file is missing, truncated, foreign, or of a newer version.
         """
         facts, arrays = read_archive(path, _KIND, _VERSION, "model")
+        return cls.from_archive(facts, arrays, engine, str(path))
+
+    @classmethod
+    def from_archive(
+        cls,
+        facts: Mapping[str, Any],
+        arrays: Mapping[str, npt.NDArray[Any]],
+        engine: EngineName | Engine = "auto",
+        where: str = "The archive",
+    ) -> PCNDE:
+        """Inverse of :meth:`to_archive`; ``where`` names the source in messages.
+
+        Raises
+        ------
+        FileError
+            If something is missing or does not fit.
+        """
         try:
             config = recipes.config_from(facts["config"])
             parameters = recipes.parameters_from(config, arrays)
@@ -465,7 +495,7 @@ class PCNDE:
             if uncertainty is not None and isinstance(parameters, ClosureParameters):
                 uncertainty.check(parameters.correction.size)
         except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise FileError(f"{path} is not a whole model: {error}.") from error
+            raise FileError(f"{where} is not a whole model: {error}.") from error
         chosen = select_engine(engine, closures=isinstance(config, ClosureConfig))
         return cls(config, parameters, grid, chosen, provenance, history, uncertainty, novelty)
 
@@ -523,21 +553,3 @@ def _part(of: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | 
     start = f"{prefix}_"
     mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
     return of(**mine) if mine else None
-
-
-def _provenance(cases: Cases, facts: Mapping[str, Any], engine: Engine) -> dict[str, Any]:
-    packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
-    return {
-        **facts,
-        "cases": len(cases),
-        "cases_fingerprint": cases.fingerprint(),
-        "engine": engine.name,
-        "versions": {
-            "pcnde_bridge": __version__,
-            "python": platform.python_version(),
-            **packages,
-            **engine.versions,
-        },
-        "platform": platform.platform(),
-        "trained": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-    }

@@ -56,6 +56,7 @@ class TrainingProgress:
         self._task = self._bar.add_task("training", total=total, completed=done, loss="-")
         self._total, self._first, self._done = total, done, done
         self._began = self._last = time.monotonic()
+        self._counted = 0.0  # when the first iteration of this run was done
 
     def __enter__(self) -> TrainingProgress:
         self._bar.start()
@@ -74,23 +75,94 @@ class TrainingProgress:
     def __call__(self, iteration: Iteration) -> None:
         """Count one iteration."""
         self._done += 1
+        now = time.monotonic()
+        if self._done == self._first + 1:
+            self._counted = now
         stage = iteration.stage.replace("_", " ")
         where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
         self._bar.update(
             self._task, completed=self._done, description=where, loss=f"{iteration.loss:.3e}"
         )
-        now = time.monotonic()
         if now - self._last < (_DRAW_EVERY if self._draws else _LOG_EVERY):
             return
         self._last = now
         if self._draws:
             self._bar.refresh()
         else:
-            elapsed = now - self._began
-            left = elapsed / (self._done - self._first) * (self._total - self._done)
+            # Neither iterations of an earlier run nor compiling, which is before the first,
+            # tell how long the others will take.
+            counted = self._done - self._first - 1
+            left = "unknown"
+            if counted:
+                pace = (now - self._counted) / counted
+                left = f"{pace * (self._total - self._done):.0f} s"
             self._console.print(
                 f"{where}: iteration {self._done} of {self._total}, loss {iteration.loss:.3e}, "
-                f"elapsed {elapsed:.0f} s, remaining {left:.0f} s",
+                f"elapsed {now - self._began:.0f} s, remaining {left}",
                 highlight=False,
+                soft_wrap=True,
+            )
+
+
+class TaskProgress:
+    """Shows how many of some tasks are done, with elapsed and remaining time.
+
+    Parameters
+    ----------
+    total, done : int
+        Tasks of the whole run, and of them those done before.
+    show : bool
+        False shows nothing.
+    console : rich.console.Console, optional
+        As of :class:`TrainingProgress`.
+    """
+
+    def __init__(
+        self, total: int, done: int = 0, show: bool = True, console: Console | None = None
+    ) -> None:
+        self._console = console or Console(stderr=True)
+        self._draws = self._console.is_terminal or self._console.is_jupyter
+        self._show = show
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=self._console,
+            disable=not (self._draws and show),
+            auto_refresh=False,  # as above
+        )
+        self._task = self._bar.add_task("tasks", total=total, completed=done)
+        self._total, self._first, self._done = total, done, done
+        self._began = self._last = time.monotonic()
+
+    def __enter__(self) -> TaskProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, name: str, failure: str | None = None) -> None:
+        """Count a task that is finished, or failed for good."""
+        self._done += 1
+        if not self._show:
+            return
+        now = time.monotonic()
+        elapsed = now - self._began
+        left = elapsed / (self._done - self._first) * (self._total - self._done)
+        remaining = f"remaining {left:.0f} s"
+        if self._draws:
+            self._bar.update(self._task, completed=self._done, description=f"tasks, {remaining}")
+            self._bar.refresh()
+        due = now - self._last >= _LOG_EVERY and not self._draws
+        if failure is not None or due:
+            self._last = now
+            what = "done" if failure is None else f"failed: {failure}"
+            self._console.print(
+                f"{self._done} of {self._total} tasks: {name} {what}, elapsed {elapsed:.0f} s, "
+                f"{remaining}",
+                highlight=False,
+                markup=False,
                 soft_wrap=True,
             )

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters
@@ -54,13 +55,16 @@ def train(
     else:
         trainer = Trainer(cases, config, engine, checkpoint, on_record)
     state = trainer.start(seed)
-    if progress is True:
-        with TrainingProgress(trainer.total(state), len(state.history)) as bar:
-            trainer.on_record = bar
+    # Sums of several threads depend on their number, which worker processes may limit;
+    # these matrices are too small for threads to gain anything.
+    with threadpool_limits(1, user_api="blas"):
+        if progress is True:
+            with TrainingProgress(trainer.total(state), len(state.history)) as bar:
+                trainer.on_record = bar
+                state = trainer.run(state)
+        else:
             state = trainer.run(state)
-    else:
-        state = trainer.run(state)
-    facts: dict[str, Any] = {"seed": state.seed, "seconds": state.seconds}
+    facts: dict[str, Any] = {"seconds": state.seconds}
     if isinstance(state, TrainingState):
         facts["batches"] = [[int(i) for i in batch] for batch in state.batches]
         return Trained(config, state.parameters, None, state.history, facts)

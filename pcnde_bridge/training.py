@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +21,8 @@ import numpy.typing as npt
 
 from pcnde_bridge import all_at_once
 from pcnde_bridge import history as histories
-from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.checkpoints import Checkpoint
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.base import (
     Engine,
@@ -36,6 +37,7 @@ from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
 from pcnde_bridge.inference import initial_area, solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, Parameters, initial_parameters
+from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
@@ -174,7 +176,8 @@ class Trainer:
         Computes.
     checkpoint : path-like, optional
         File that keeps the state: read if it exists, written after each epoch,
-        coupling and pressure stage, and when training is interrupted.
+        coupling and pressure stage, and when training is interrupted
+        (:class:`~pcnde_bridge.checkpoints.Checkpoint`).
     on_record : callable, optional
         Called with every :class:`~pcnde_bridge.history.Iteration`.
     """
@@ -192,7 +195,9 @@ class Trainer:
         self._config = config
         self._engine = engine
         self._grid = Grid(cases.time, cases.z, cases.period)
-        self._checkpoint = None if checkpoint is None else Path(checkpoint)
+        self._checkpoint = None
+        if checkpoint is not None:
+            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
         self.on_record = on_record
 
     def total(self, state: TrainingState) -> int:
@@ -209,19 +214,22 @@ class Trainer:
         FileError
             If the checkpoint cannot be read, or could not be written later.
         """
+        first = TrainingState.start(self._cases, self._config, seed)
         if self._checkpoint is None:
-            return TrainingState.start(self._cases, self._config, seed)
-        if self._checkpoint.exists():
-            state = self._read(self._checkpoint)
-            if state.seed != seed:
-                raise InputError(
-                    f"{self._checkpoint} belongs to a run with seed {state.seed}, not {seed}. "
-                    "Give that seed, or another checkpoint file."
-                )
-            return state
-        state = TrainingState.start(self._cases, self._config, seed)
-        # A folder that cannot be written is found now, not after the first epoch.
-        self._write(self._checkpoint, state)
+            return first
+        couplings = sum(u.work == "coupling" for u in plan(self._config, len(first.batches)))
+        size = sum(vector.size for _, vector in first.parameters)
+        # A disk that is full or cannot be written is found now, not after the first epoch.
+        self._checkpoint.check((1 + couplings) * size + 6 * self.total(first))
+        state = self._checkpoint.read(self._read)
+        if state is None:
+            self._save(first)
+            return first
+        if state.seed != seed:
+            raise InputError(
+                f"{self._checkpoint.path} belongs to a run with seed {state.seed}, not {seed}. "
+                "Give that seed, or another checkpoint file."
+            )
         return state
 
     def run(self, state: TrainingState) -> TrainingState:
@@ -417,10 +425,8 @@ class Trainer:
         )
 
     def _save(self, state: TrainingState) -> None:
-        if self._checkpoint is not None:
-            self._write(self._checkpoint, state)
-
-    def _write(self, path: Path, state: TrainingState) -> None:
+        if self._checkpoint is None:
+            return
         facts = {
             "seed": state.seed,
             "finished": state.finished,
@@ -429,6 +435,8 @@ class Trainer:
             "cases": self._cases.fingerprint(),
             "engine": self._engine.name,
             "batch_sizes": [len(batch) for batch in state.batches],
+            "units": len(plan(self._config, len(state.batches))),
+            "provenance": provenance(self._cases, self._engine, state.seed),
         }
         arrays: dict[str, npt.NDArray[Any]] = {
             "batches": np.concatenate(state.batches),
@@ -437,10 +445,11 @@ class Trainer:
         }
         for number, coupling in enumerate(state.couplings):
             arrays |= {f"coupling_{number}_{stage}": vector for stage, vector in coupling}
-        write_archive(path, _KIND, _VERSION, facts, arrays)
+        self._checkpoint.write(facts, arrays)
 
-    def _read(self, path: Path) -> TrainingState:
-        facts, arrays = read_archive(path, _KIND, _VERSION, "checkpoint")
+    def _read(
+        self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
+    ) -> TrainingState:
         try:
             same_cases = facts["cases"] == self._cases.fingerprint()
             same_config = PCNDEConfig.from_dict(facts["config"]) == self._config
@@ -477,5 +486,5 @@ class Trainer:
         return state
 
 
-def _stage_vectors(arrays: dict[str, npt.NDArray[Any]], prefix: str) -> Parameters:
+def _stage_vectors(arrays: Mapping[str, npt.NDArray[Any]], prefix: str) -> Parameters:
     return Parameters(**{stage: arrays[prefix + stage] for stage in STAGES})

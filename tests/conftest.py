@@ -198,6 +198,9 @@ class ToyEngine:
     def predict(self, *args):
         return predict_by_stages(self, *args)
 
+    def __reduce__(self):  # so that it travels to worker processes
+        return ToyEngine, ()
+
 
 @pytest.fixture
 def toy_engine() -> ToyEngine:

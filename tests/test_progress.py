@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pcnde_bridge import progress
 from pcnde_bridge.history import Iteration
-from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.progress import TaskProgress, TrainingProgress
 
 
 class Clock:
@@ -64,17 +64,45 @@ def test_every_iteration_with_another_interval(clock, monkeypatch):
     assert [line.split(", loss")[0] for line in lines] == [
         f"temporal pressure: iteration {n} of 4" for n in range(1, 5)
     ]
-    assert [line.split("remaining ")[1] for line in lines] == ["6 s", "4 s", "2 s", "0 s"]
+    assert [line.split("remaining ")[1] for line in lines] == ["unknown", "4 s", "2 s", "0 s"]
 
 
 def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
     monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
     console = log()
     with TrainingProgress(100, done=90, console=console) as bar:
-        clock.now += 3.0
+        clock.now += 50.0  # compiles
         bar(record(1))
-    assert "iteration 91 of 100" in console.file.getvalue()
-    assert "elapsed 3 s, remaining 27 s" in console.file.getvalue()
+        clock.now += 3.0
+        bar(record(2))
+    first, second = console.file.getvalue().splitlines()
+    assert "iteration 91 of 100" in first
+    assert first.endswith("elapsed 50 s, remaining unknown")
+    assert "iteration 92 of 100" in second
+    assert second.endswith("elapsed 53 s, remaining 24 s")
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_tasks_done_before_and_failed_ones_count(clock, monkeypatch, terminal):
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=200, color_system=None)
+    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    with TaskProgress(10, 6, console=console) as bar:
+        clock.now += 5.0
+        bar("seed 6")
+        clock.now += 1.0
+        bar("seed 7", "SolveError: it diverged")
+    shown = console.file.getvalue()
+    assert "8 of 10 tasks: seed 7 failed: SolveError: it diverged" in shown
+    assert "elapsed 6 s, remaining 6 s" in shown
+    assert ("7 of 10 tasks: seed 6 done, elapsed 5 s, remaining 15 s" in shown) != terminal
+    assert ("7/10" in shown and "8/10" in shown) == terminal
+
+
+def test_tasks_in_silence():
+    console = Console(file=io.StringIO(), force_terminal=False)
+    with TaskProgress(1, show=False, console=console) as bar:
+        bar("seed 0", "failed")
+    assert console.file.getvalue() == ""
 
 
 def test_a_short_run_leaves_the_log_empty(clock):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import PAPER, PCNDE, InputError
+from pcnde_bridge.checkpoints import previous
 from pcnde_bridge.engines.base import FlowInputs, Grid
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.history import Iteration, from_array, to_array, to_frame
@@ -433,6 +434,7 @@ def test_a_damaged_checkpoint_is_refused_and_kept(small_cases, toy_config, toy_e
     whole = checkpoint.read_bytes()
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
+    previous(checkpoint).unlink()
     for content in (whole[: len(whole) // 2], b"", b"hello", bytes(flipped)):
         checkpoint.write_bytes(content)
         with pytest.raises(FileError, match=r"run\.checkpoint"):
@@ -452,16 +454,23 @@ def test_a_model_is_no_checkpoint(small_cases, toy_config, toy_engine, tmp_path)
 def test_a_checkpoint_with_something_missing(
     small_cases, toy_config, toy_engine, checkpoint, monkeypatch
 ):
-    from pcnde_bridge import training
+    from pcnde_bridge import checkpoints
     from pcnde_bridge.archive import read_archive
 
     facts, arrays = read_archive(checkpoint, "pcnde-checkpoint", 1, "checkpoint")
     losses = [("facts", name) for name in ("seed", "finished", "config", "cases", "couplings")]
     losses += [("arrays", name) for name in ("batches", "history", "flow", "coupling_0_flow")]
+    previous(checkpoint).unlink()
     for kind, name in losses:
         broken = {"facts": dict(facts), "arrays": dict(arrays)}
         del broken[kind][name]
-        monkeypatch.setattr(training, "read_archive", lambda *_, b=broken: tuple(b.values()))
+        monkeypatch.setattr(
+            checkpoints,
+            "read_archive",
+            lambda path, *rest, b=broken: (
+                tuple(b.values()) if path == checkpoint else read_archive(path, *rest)
+            ),
+        )
         with pytest.raises(FileError, match="not a whole checkpoint"):
             Trainer(small_cases, toy_config, toy_engine, checkpoint=checkpoint).start(0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge import history as histories
-from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.checkpoints import Checkpoint
 from pcnde_bridge.closures import fit
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, parts
@@ -21,6 +22,7 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Engine, OnIteration
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
+from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
@@ -106,8 +108,10 @@ class ClosureTrainer:
         self.config = _decided(cases, config)
         self.on_record = on_record
         self._cases = cases
-        self._closures = engine.closures
-        self._checkpoint = None if checkpoint is None else Path(checkpoint)
+        self._engine, self._closures = engine, engine.closures
+        self._checkpoint = None
+        if checkpoint is not None:
+            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
         folds = config.correction.folds
         self._left_out = parts(cases, folds) if folds else []
 
@@ -130,12 +134,21 @@ class ClosureTrainer:
         FileError
             If the checkpoint cannot be read, or could not be written later.
         """
-        state = ClosureState(seed, {})
+        first = ClosureState(seed, {})
         if self._checkpoint is None:
-            return state
-        if self._checkpoint.exists():
-            return self._read(self._checkpoint, seed)
-        self._save(state)
+            return first
+        lengths = sizes(self.config)
+        size = sum(lengths.values()) + len(self._left_out) * lengths["correction"]
+        self._checkpoint.check(size + 6 * self.total(first))
+        state = self._checkpoint.read(self._read)
+        if state is None:
+            self._save(first)
+            return first
+        if state.seed != seed:
+            raise InputError(
+                f"{self._checkpoint.path} belongs to a run with seed {state.seed}, not {seed}. "
+                "Give the same, or another checkpoint file."
+            )
         return state
 
     def run(self, state: ClosureState) -> ClosureState:
@@ -214,15 +227,18 @@ class ClosureTrainer:
             "config": self.config.to_dict(),
             "cases": self._cases.fingerprint(),
             "vectors": list(state.vectors),
+            "units": len(CLOSURES) + len(self._left_out),
+            "provenance": provenance(self._cases, self._engine, state.seed),
         }
         arrays: dict[str, npt.NDArray[Any]] = {
             "history": histories.to_array(state.history),
             **state.vectors,
         }
-        write_archive(self._checkpoint, _KIND, _VERSION, facts, arrays)
+        self._checkpoint.write(facts, arrays)
 
-    def _read(self, path: Path, seed: int) -> ClosureState:
-        facts, arrays = read_archive(path, _KIND, _VERSION, "checkpoint")
+    def _read(
+        self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
+    ) -> ClosureState:
         try:
             history = tuple(histories.from_array(arrays["history"]))
             state = ClosureState(
@@ -237,7 +253,6 @@ class ClosureTrainer:
         for same, what in (
             (same_cases, "on other cases"),
             (same_config, "with another configuration"),
-            (state.seed == seed, f"with seed {state.seed}, not {seed}"),
         ):
             if not same:
                 raise InputError(

@@ -153,9 +153,7 @@ def calibrate(
     def scaled(number: int, name: str) -> tuple[float, float]:
         """Factor that makes 90 % intervals hold 90 %, and their mean width then."""
         width = np.hypot(np.concatenate(widths[name][number]), profile[name])
-        ratio = error[name] / np.maximum(width, _LEAST)
-        inside = width > _LEAST
-        factor = float(np.quantile(ratio[inside], 0.9)) / _NORMAL_90
+        factor = calibrated_factor(error[name], width)
         return factor, factor * float(width.mean()) / float(error[name].mean() + _LEAST)
 
     widest = [sum(scaled(n, name)[1] for name in VARIABLES) for n in range(len(_SHIFTS))]
@@ -166,6 +164,21 @@ def calibrate(
         np.stack([profile[name] for name in VARIABLES]),
         np.array([scaled(best, name)[0] for name in VARIABLES]),
     )
+
+
+def calibrated_factor(error: Array, width: Array) -> float:
+    """Factor on deviations that makes normal 90 % intervals hold 90 % of the errors.
+
+    Parameters
+    ----------
+    error, width : array of the same shape
+        Absolute errors, and the deviations before; where these are zero the values are
+        known, such as the flow at the inlet, and do not count.
+    """
+    inside = width > _LEAST
+    if not inside.any():
+        return 0.0
+    return float(np.quantile(error[inside] / width[inside], 0.9)) / _NORMAL_90
 
 
 def draw(

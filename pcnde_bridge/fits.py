@@ -1,0 +1,97 @@
+"""One fit as a task of many: what ensembles, cross-validation and sweeps are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines.base import Engine
+from pcnde_bridge.model import PCNDE
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """A fit, and where its errors are wanted.
+
+    Attributes
+    ----------
+    train : Cases
+        To be fitted.
+    config : PCNDEConfig or ClosureConfig
+        Settings.
+    engine : {'auto', 'julia', 'jax'} or Engine
+        Who computes; a name, where it has to travel.
+    seed : int
+        Of the fit.
+    held_out : Cases or None
+        For :func:`fit_and_score`.
+    """
+
+    train: Cases
+    config: PCNDEConfig | ClosureConfig
+    engine: EngineName | Engine
+    seed: int
+    held_out: Cases | None = None
+
+    def fit(self) -> PCNDE:
+        """Fit the model."""
+        return PCNDE.fit(self.train, self.config, self.engine, self.seed, progress=False)
+
+
+def fit_model(task: FitTask) -> dict[str, Any]:
+    """Fit, and return the model as :func:`model_of` takes it."""
+    facts, arrays = task.fit().to_archive()
+    return {"facts": facts, **arrays}
+
+
+def model_of(result: dict[str, Any], engine: EngineName | Engine) -> PCNDE:
+    """Model of what :func:`fit_model` returned."""
+    arrays = {name: value for name, value in result.items() if name != "facts"}
+    return PCNDE.from_archive(result["facts"], arrays, engine)
+
+
+def fit_and_score(task: FitTask) -> dict[str, float]:
+    """Fit, and return relative errors and seconds.
+
+    Returns
+    -------
+    dict
+        ``flow``, ``area`` and ``pressure`` on the cases held out, ``train_flow`` and so
+        on, and ``seconds``.
+    """
+    model = task.fit()
+    scores: dict[str, float] = {}
+    for prefix, cases in (("", task.held_out), ("train_", task.train)):
+        if cases is not None:
+            pooled = model.evaluate(cases).iloc[-1]
+            scores |= {f"{prefix}{name}": float(error) for name, error in pooled.items()}
+    return {**scores, "seconds": float(model.provenance["seconds"])}
+
+
+def common_facts(
+    study: str, cases: Cases, config: PCNDEConfig | ClosureConfig, engine: EngineName | Engine
+) -> dict[str, Any]:
+    """Collect what all results of a study depend on, for :func:`pcnde_bridge.tasks.run`."""
+    return {
+        "study": study,
+        "cases": cases.fingerprint(),
+        "config": config.to_dict(),
+        "engine": engine if isinstance(engine, str) else engine.name,
+    }
+
+
+def same_everywhere(
+    engine: EngineName | Engine, config: PCNDEConfig | ClosureConfig
+) -> EngineName | Engine:
+    """Replace ``auto`` by the engine that it means here, so that no worker takes another.
+
+    Raises
+    ------
+    EngineUnavailableError
+        If the engine cannot be used here.
+    """
+    found = select_engine(engine, closures=isinstance(config, ClosureConfig))
+    return cast(EngineName, found.name) if isinstance(engine, str) else engine

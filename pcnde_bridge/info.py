@@ -1,0 +1,145 @@
+"""What a model, an ensemble or a checkpoint is, without starting an engine."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from pcnde_bridge.archive import archive_kind, read_archive
+from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.recipes import config_from
+
+# The formats' own modules check their versions when they are used.
+_WHAT = {
+    "pcnde-model": "model",
+    "pcnde-ensemble": "ensemble",
+    "pcnde-checkpoint": "checkpoint",
+    "pcnde-closures-checkpoint": "checkpoint",
+}
+_NEWEST = 1
+
+
+def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what is needed to run a fit again.
+
+    Parameters
+    ----------
+    path : path-like
+        File of a model, an ensemble or a checkpoint.
+
+    Returns
+    -------
+    dict
+        Whatever JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
+        ``config``, all settings; ``provenance``; and, by kind, ``grid``, ``members``,
+        ``uncertainty``, ``finished`` and ``units`` (of work).
+
+    Raises
+    ------
+    FileError
+        If the file is none of these, or damaged.
+    """
+    kind = archive_kind(path)
+    if kind not in _WHAT:
+        # Says whether it is missing, damaged or something else.
+        read_archive(path, "pcnde-model", _NEWEST, "model")
+        raise FileError(f"{path} is not a file of pcnde_bridge.")
+    facts, arrays = read_archive(path, kind, _NEWEST, _WHAT[kind])
+    found: dict[str, Any] = {"kind": _WHAT[kind]}
+    try:
+        first, prefix = facts, ""
+        if kind == "pcnde-ensemble":
+            first, prefix = facts["members"][0], "member_0_"
+            found["members"] = len(facts["members"])
+            found["uncertainty"] = "calibrated spread of the members"
+        config = config_from(first["config"])
+        preset, changes = nearest_preset(config)
+        found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
+        found["provenance"] = facts.get("provenance", {})
+        if found["kind"] == "checkpoint":
+            vectors = len(facts.get("vectors", ()))
+            found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
+        else:
+            time, z = arrays[f"{prefix}time"], arrays[f"{prefix}z"]
+            found["grid"] = {
+                "instants": time.size,
+                "period": float(arrays[f"{prefix}period"]),
+                "points": z.size,
+                "z": [float(z[0]), float(z[-1])],
+            }
+        if "uncertainty_members" in arrays:
+            found["uncertainty"] = "fits that left out parts of the training cases"
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise FileError(f"{path} is not a whole {found['kind']}: {error}.") from error
+    return found
+
+
+def nearest_preset(config: PCNDEConfig | ClosureConfig) -> tuple[str, dict[str, Any]]:
+    """Return the preset with the fewest settings that differ, and these settings.
+
+    Examples
+    --------
+    >>> from pcnde_bridge.config import FAST
+    >>> from pcnde_bridge.info import nearest_preset
+    >>> nearest_preset(FAST.replace(flow={"steps": 24}))
+    ('fast', {'flow.steps': 24})
+    """
+    mine = _flat(config.to_dict())
+    differences = {
+        name: {key: value for key, value in mine.items() if theirs[key] != value}
+        for name, preset in PRESETS.items()
+        if type(preset) is type(config)
+        for theirs in [_flat(preset.to_dict())]
+    }
+    name = min(differences, key=lambda name: len(differences[name]))
+    return name, differences[name]
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what :func:`describe` found as lines of a table for people."""
+    facts = found["provenance"]
+    changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
+    rows = [
+        ("kind", found["kind"]),
+        ("preset", found["preset"] + (f", but {changes}" if changes else "")),
+    ]
+    if "units" in found:
+        rows.append(("finished", f"{found['finished']} of {found['units']} units of work"))
+    if "members" in found:
+        rows.append(("members", str(found["members"])))
+    if "grid" in found:
+        grid = found["grid"]
+        text = f"{grid['instants']} instants of {grid['period']:g} s, {grid['points']} points"
+        rows.append(("grid", f"{text}, z = {grid['z'][0]:g} … {grid['z'][1]:g} cm"))
+    rows.append(("uncertainty", found.get("uncertainty", "none")))
+    if "cases" in facts:
+        rows.append(("cases", f"{facts['cases']}, fingerprint {facts['cases_fingerprint'][:16]}…"))
+    if "cases_labels" in facts:
+        by_geometry: dict[int, list[int]] = {}
+        for geometry, waveform in facts["cases_labels"]:
+            by_geometry.setdefault(geometry, []).append(waveform)
+        text = "\n".join(
+            f"geometry {geometry}: waveforms {', '.join(map(str, waveforms))}"
+            for geometry, waveforms in by_geometry.items()
+        )
+        rows.append(("", text))
+    for name in ("seed", "engine", "trained", "seconds", "platform", "command", "source"):
+        if facts.get(name) is not None:
+            value = facts[name]
+            rows.append((name, f"{value:.1f}" if isinstance(value, float) else str(value)))
+    if "versions" in facts:
+        text = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
+        rows.append(("versions", text))
+    return rows

@@ -1,0 +1,92 @@
+"""Sweeps: the same cases fitted with several settings and seeds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.engines import EngineName
+from pcnde_bridge.engines.base import Engine
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
+from pcnde_bridge.tasks import Workers, run
+
+
+def sweep(
+    train: Cases,
+    held_out: Cases | None,
+    configs: Mapping[str, PCNDEConfig | ClosureConfig | str],
+    seeds: Sequence[int] = (0,),
+    engine: EngineName | Engine = "auto",
+    *,
+    executor: Workers | None = None,
+    retries: int = 1,
+    folder: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+) -> pd.DataFrame:
+    """Fit every configuration with every seed, and list the errors.
+
+    Parameters
+    ----------
+    train : Cases
+        To be fitted.
+    held_out : Cases or None
+        To be predicted.
+    configs : mapping of str to PCNDEConfig, ClosureConfig or str
+        Settings, or presets' names, by names of your own.
+    seeds : sequence of int
+        Of the fits.
+    engine
+        As of :meth:`pcnde_bridge.PCNDE.fit`.
+    executor, retries, folder, progress
+        As of :func:`pcnde_bridge.tasks.run`.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by ``config`` and ``seed``; columns as of
+        :func:`pcnde_bridge.cross_validate`, without ``cases``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to fit, or a preset is unknown.
+
+    Examples
+    --------
+    >>> from pcnde_bridge import PRESETS, sweep
+    >>> wider = PRESETS["fast"].replace(flow={"hidden": [16, 16]})
+    >>> sweep(train, test, {"fast": "fast", "wider": wider}, seeds=range(3))  # doctest: +SKIP
+    """
+    if not configs or not len(seeds):
+        raise InputError("sweep needs at least one configuration and one seed.")
+    settings = {name: resolve_config(config) for name, config in configs.items()}
+    engines = {name: same_everywhere(engine, config) for name, config in settings.items()}
+    keys = [(name, int(seed)) for name in settings for seed in seeds]
+    tasks = {
+        f"{name}, seed {seed}": FitTask(train, settings[name], engines[name], seed, held_out)
+        for name, seed in keys
+    }
+    facts = {
+        "held_out": None if held_out is None else held_out.fingerprint(),
+        "configs": {
+            name: common_facts("sweep", train, settings[name], engines[name]) for name in settings
+        },
+    }
+    outcome = run(
+        fit_and_score,
+        tasks,
+        executor=executor,
+        retries=retries,
+        folder=folder,
+        facts=facts,
+        progress=progress,
+    )
+    rows = [
+        {**outcome.results.get(name, {}), "failure": outcome.failures.get(name)} for name in tasks
+    ]
+    return pd.DataFrame(rows, index=pd.MultiIndex.from_tuples(keys, names=["config", "seed"]))

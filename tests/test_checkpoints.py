@@ -1,0 +1,184 @@
+"""The newest two checkpoints of a run, and what is looked at before training."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+from collections import namedtuple
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import PCNDE, FileError, files
+from pcnde_bridge.archive import read_archive
+from pcnde_bridge.checkpoints import Checkpoint, previous, remove
+from pcnde_bridge.training import Trainer
+
+
+def number(path, facts, arrays):
+    return facts["number"], arrays["a"].tolist()
+
+
+@pytest.fixture
+def checkpoint(tmp_path):
+    checkpoint = Checkpoint(tmp_path / "run", "test", 1)
+    for n in (1, 2, 3):
+        checkpoint.write({"number": n}, {"a": np.full(100, n)})
+    return checkpoint
+
+
+def test_the_newest_two_are_kept(checkpoint, tmp_path):
+    assert {p.name for p in tmp_path.iterdir()} == {"run", "run.previous"}
+    assert checkpoint.read(number) == (3, [3] * 100)
+    kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
+    assert kept[0]["number"] == 2
+
+
+@pytest.mark.parametrize("damage", ["half", "empty", "bit", "foreign"])
+def test_a_damaged_newest_falls_back_and_says_so(checkpoint, tmp_path, caplog, damage):
+    whole = bytearray(checkpoint.path.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    content = {"half": whole[: len(whole) // 2], "empty": b"", "bit": whole, "foreign": b"hello"}
+    checkpoint.path.write_bytes(bytes(content[damage]))
+    with caplog.at_level(logging.WARNING, "pcnde_bridge"):
+        assert checkpoint.read(number) == (2, [2] * 100)
+    (message,) = caplog.messages
+    assert str(checkpoint.path) in message
+    assert f"Continuing from the checkpoint before it, {previous(checkpoint.path)}" in message
+    # The good one is not overwritten with the damaged one.
+    checkpoint.write({"number": 4}, {"a": np.full(100, 4)})
+    assert checkpoint.read(number) == (4, [4] * 100)
+    kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
+    assert kept[0]["number"] == 2
+
+
+def test_both_damaged_is_an_error_about_the_newest(checkpoint):
+    for path in (checkpoint.path, previous(checkpoint.path)):
+        path.write_bytes(b"")
+    with pytest.raises(FileError, match=r"run is not a pcnde_bridge checkpoint"):
+        checkpoint.read(number)
+
+
+def test_a_run_thrown_away_does_not_come_back(checkpoint, tmp_path):
+    checkpoint.path.unlink()
+    assert checkpoint.read(number) is None
+    checkpoint.write({"number": 9}, {"a": np.zeros(1)})
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+    remove(checkpoint.path)
+    remove(checkpoint.path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_process_left_is_removed(checkpoint, tmp_path):
+    (tmp_path / ".run.0123abcd").write_text("half")
+    (tmp_path / ".run.previous.0123abcd.previous").write_text("half")
+    (tmp_path / ".run.0123abcx").write_text("someone else's")
+    checkpoint.check(10)
+    left = {p.name for p in tmp_path.iterdir()}
+    assert left == {"run", "run.previous", ".run.0123abcx"}
+
+
+# ---- in training -----------------------------------------------------------------
+
+
+def stop_after(count):
+    def on_record(record):
+        nonlocal count
+        count -= 1
+        if count == 0:
+            raise KeyboardInterrupt
+
+    return on_record
+
+
+def test_training_goes_on_from_the_one_before_to_the_same_bits(
+    small_cases, toy_config, toy_engine, tmp_path, caplog
+):
+    whole = PCNDE.fit(small_cases, toy_config, toy_engine, progress=False)
+    path = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=stop_after(25))
+    path.write_bytes(path.read_bytes()[:1000])
+    finished = Trainer(small_cases, toy_config, toy_engine, checkpoint=path).start(0).finished
+    assert finished > 0
+    model = PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)
+    assert "Continuing from the checkpoint before it" in caplog.text
+    assert model.parameters == whole.parameters
+
+
+def refuse(record):
+    raise AssertionError("training began")
+
+
+def test_a_disk_without_room_is_found_before_training(
+    small_cases, toy_config, toy_engine, tmp_path, monkeypatch
+):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda path: usage(10**9, 10**9, 1000))
+    with pytest.raises(FileError, match=r"about \d+\.\d MB are needed, and 0\.0 MB are free"):
+        PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=tmp_path / "run", progress=refuse)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_checkpoint_that_can_no_longer_be_written_is_found_on_resuming(
+    small_cases, toy_config, toy_engine, tmp_path, monkeypatch
+):
+    path = tmp_path / "run"
+    PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)
+
+    def denied(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(files, "_create", denied)
+    with pytest.raises(FileError, match="no permission to write"):
+        PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=refuse)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of two megabytes; skips where none can be mounted."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = shutil.which("mount")
+    if mount is None or os.geteuid() != 0:
+        pytest.skip("only root can mount a small file system")
+    if subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=2m", "tmpfs", folder], check=False, capture_output=True
+    ).returncode:
+        pytest.skip("no small file system can be mounted here")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, small_disk):
+    path = small_disk / "run"
+    with pytest.raises(KeyboardInterrupt):
+        PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=stop_after(25))
+    full = small_disk / "others"
+    with pytest.raises(OSError, match="No space left"), full.open("wb") as handle:
+        for _ in range(100):
+            handle.write(bytes(1 << 16))
+    with pytest.raises(FileError, match="MB are needed"):
+        PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=refuse)
+    # Full in the middle of a run: what was written stays whole.
+    checkpoint = Checkpoint(path, "pcnde-checkpoint", 1)
+    before = path.read_bytes()
+    with pytest.raises(FileError, match="the disk is full"):
+        checkpoint.write({}, {"a": np.zeros(1 << 17)})
+    assert path.read_bytes() == before
+    full.unlink()
+    model = PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)
+    assert (
+        model.parameters
+        == PCNDE.fit(small_cases, toy_config, toy_engine, progress=False).parameters
+    )
+
+
+def test_a_disk_that_can_only_be_read(small_cases, toy_config, toy_engine, small_disk):
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    with pytest.raises(FileError, match="no permission to write"):
+        PCNDE.fit(
+            small_cases, toy_config, toy_engine, checkpoint=small_disk / "run", progress=refuse
+        )

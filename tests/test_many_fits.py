@@ -1,0 +1,336 @@
+"""Ensembles, cross-validation and sweeps, with fits that need no compiling."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pcnde_bridge import (
+    PCNDE,
+    Ensemble,
+    FileError,
+    InputError,
+    OutsideTrainingWarning,
+    TaskError,
+    cross_validate,
+    load_model,
+    sweep,
+)
+from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.cross_validation import parts
+from pcnde_bridge.ensemble import Calibration
+from pcnde_bridge.fits import FitTask, fit_model, model_of
+from pcnde_bridge.info import describe, lines
+from pcnde_bridge.metrics import VARIABLES, coverage, pooled_errors
+from pcnde_bridge.tasks import processes, run
+
+NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressure"]
+
+
+@pytest.fixture(scope="module")
+def engine():
+    from conftest import ToyEngine
+
+    return ToyEngine()
+
+
+@pytest.fixture(scope="module")
+def config(toy_config):
+    return toy_config.replace(flow={"epochs": 2, "couple_every": 1})
+
+
+@pytest.fixture(scope="module")
+def ensemble(small_cases, config, engine):
+    return Ensemble.fit(small_cases, config, engine, members=3, folds=2, progress=False)
+
+
+def same(one, other):
+    return (
+        len(one.members) == len(other.members)
+        and all(
+            a.parameters == b.parameters for a, b in zip(one.members, other.members, strict=True)
+        )
+        and np.array_equal(one.calibration.profile, other.calibration.profile)
+        and np.array_equal(one.calibration.scale, other.calibration.scale)
+    )
+
+
+# ---- ensembles -----------------------------------------------------------------------
+
+
+def test_members_are_fits_with_the_next_seeds(small_cases, config, engine, ensemble):
+    for k, member in enumerate(ensemble.members):
+        alone = PCNDE.fit(small_cases, config, engine, seed=k, progress=False)
+        assert member.parameters == alone.parameters
+        assert member.provenance["seed"] == k
+    assert ensemble.members[0].parameters != ensemble.members[1].parameters
+    assert repr(ensemble).startswith("Ensemble(3 × PCNDE(")
+
+
+def test_mean_and_deviation(small_cases, ensemble):
+    prediction = ensemble.predict(small_cases)
+    alone = [member.predict(small_cases) for member in ensemble.members]
+    deviation = prediction.deviation()
+    for number, name in enumerate(VARIABLES):
+        values = np.stack([p.variables()[name] for p in alone])
+        np.testing.assert_allclose(prediction.variables()[name], values.mean(axis=0), rtol=1e-14)
+        # σ = c √(s² + e²), on the grid of the training.
+        spread = values.std(axis=0, ddof=1)
+        expected = ensemble.calibration.scale[number] * np.hypot(
+            spread, ensemble.calibration.profile[number]
+        )
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(deviation[name], expected, rtol=1e-6, atol=1e-12 * scale)
+        assert prediction.samples[name].shape == values.shape
+    # The flow at the inlet is given.
+    np.testing.assert_allclose(deviation["flow"][:, :, 0], 0, atol=1e-12)
+    assert "pressure_deviation" in prediction.to_frame()
+    table = ensemble.evaluate(small_cases)
+    errors = pooled_errors(prediction.variables(), small_cases)
+    assert table.iloc[-1].to_dict() == pytest.approx(errors)
+
+
+def test_where_members_agree_the_samples_still_have_the_deviation(small_cases, config, engine):
+    member = PCNDE.fit(small_cases, config, engine, progress=False)
+    calibration = Calibration(np.full((3, 4), 0.5), np.array([1.0, 2.0, 3.0]))
+    prediction = Ensemble([member, member, member], calibration).predict(small_cases)
+    for name, c in zip(VARIABLES, (1.0, 2.0, 3.0), strict=True):
+        np.testing.assert_allclose(prediction.deviation()[name], 0.5 * c, rtol=1e-6)
+        np.testing.assert_allclose(
+            prediction.samples[name].mean(axis=0), prediction.variables()[name], rtol=1e-9
+        )
+
+
+def test_intervals_are_calibrated_on_cases_left_out(small_cases, config, engine, ensemble):
+    """Whole parts left out here lie in 90 % intervals about that often, in the mean."""
+    held = []
+    for label in ("geometry", "waveform"):
+        for value in np.unique(small_cases.labels[label])[[0, -1]]:
+            chosen = (small_cases.labels[label] == value).to_numpy()
+            rest = small_cases.select(~chosen)
+            fits = [PCNDE.fit(rest, config, engine, seed=k, progress=False) for k in range(2)]
+            few = Ensemble(fits, ensemble.calibration)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OutsideTrainingWarning)
+                intervals = few.predict(small_cases.select(chosen)).interval(0.9)
+            held.append(coverage(intervals, small_cases.select(chosen)))
+    shares = pd.DataFrame(held).mean()
+    assert (shares > 0.75).all()
+    assert (shares < 1.0).any()
+
+
+def test_extrapolation_is_warned_of_once_at_this_line(small_cases, ensemble):
+    with pytest.warns(OutsideTrainingWarning) as caught:
+        ensemble.predict(3 * small_cases.inflow, small_cases.area_undeformed)
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+
+
+def test_executors_and_a_folder_change_no_bit(small_cases, config, engine, ensemble, tmp_path):
+    fit = {"members": 3, "folds": 2, "progress": False}
+    pool = processes(2)
+    parallel = Ensemble.fit(
+        small_cases, config, engine, executor=pool, folder=tmp_path / "fits", **fit
+    )
+    assert same(parallel, ensemble)
+    kept = Ensemble.fit(small_cases, config, engine, folder=tmp_path / "fits", **fit)
+    assert same(kept, ensemble)
+    with pytest.raises(InputError, match="result of other tasks"):
+        Ensemble.fit(small_cases, config, engine, seed=1, folder=tmp_path / "fits", **fit)
+
+
+def test_the_jax_engine_gives_the_same_bits_in_another_process(
+    small_cases, small_split, small_config, small_model
+):
+    """With as many threads of XLA; those of numpy do not matter."""
+    task = FitTask(small_cases.split(small_split).train, small_config, "jax", 0)
+    outcome = run(fit_model, {"a": task}, executor=processes(1, None), progress=False)
+    there = model_of(outcome.check()["a"], "jax")
+    assert there.parameters == small_model.parameters
+    assert there.provenance["cases_labels"] == small_model.provenance["cases_labels"]
+
+
+class FailingEngine:
+    """Fails for some cases; ``reduce`` because it travels."""
+
+    def __new__(cls, counts):
+        from conftest import ToyEngine
+
+        engine = ToyEngine()
+        fit = engine.flow.fit
+
+        def failing(parameters, inputs, *args):
+            if len(engine.flow.fits) in counts:
+                engine.flow.fits.append(None)
+                raise OSError("lost")
+            return fit(parameters, inputs, *args)
+
+        engine.flow.fit = failing
+        return engine
+
+
+def test_failed_fits_are_left_out_and_told(small_cases, config):
+    fit = {"members": 3, "folds": 2, "progress": False, "retries": 0}
+    with pytest.warns(UserWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
+        ensemble = Ensemble.fit(small_cases, config, FailingEngine({0}), **fit)
+    assert len(ensemble.members) == 2
+    assert list(ensemble.provenance["failures"]) == ["member 0"]
+    with pytest.raises(TaskError, match="make no ensemble"):
+        Ensemble.fit(small_cases, config, FailingEngine(set(range(10000))), **fit)
+
+
+def test_save_and_load(small_cases, ensemble, engine, tmp_path):
+    path = tmp_path / "ensemble.npz"
+    ensemble.save(path)
+    for loaded in (Ensemble.load(path, engine), load_model(path, engine)):
+        assert same(loaded, ensemble)
+        mine, theirs = ensemble.predict(small_cases), loaded.predict(small_cases)
+        assert all(np.array_equal(mine.samples[n], theirs.samples[n]) for n in VARIABLES)
+    assert loaded.provenance == json.loads(json.dumps(ensemble.provenance))
+    ensemble.members[0].save(tmp_path / "model.npz")
+    assert isinstance(load_model(tmp_path / "model.npz", engine), PCNDE)
+    with pytest.raises(FileError, match="not a pcnde_bridge model but a 'pcnde-ensemble'"):
+        PCNDE.load(path, engine)
+    with pytest.raises(FileError, match="There is no model"):
+        load_model(tmp_path / "nowhere", engine)
+
+
+def test_damaged_ensembles_are_file_errors(ensemble, engine, tmp_path):
+    path = tmp_path / "ensemble.npz"
+    ensemble.save(path)
+    facts, arrays = read_archive(path, "pcnde-ensemble", 1, "ensemble")
+    broken = [
+        (facts, {k: v for k, v in arrays.items() if k != "scale"}),
+        (facts, {**arrays, "scale": np.ones(2)}),
+        (facts, {**arrays, "profile": np.full((3, 4), np.nan)}),
+        (facts, {k: v for k, v in arrays.items() if k != "member_1_flow"}),
+        ({**facts, "members": facts["members"][:1]}, arrays),
+        ({k: v for k, v in facts.items() if k != "members"}, arrays),
+    ]
+    for content in broken:
+        write_archive(path, "pcnde-ensemble", 1, *content)
+        with pytest.raises(FileError, match=r"ensemble\.npz.* is not a whole"):
+            Ensemble.load(path, engine)
+
+
+def test_arguments_of_an_ensemble(small_cases, config, engine):
+    for change, message in (
+        ({"members": 1}, "members must be a whole number ≥ 2"),
+        ({"folds": True}, "folds must be a whole number ≥ 2"),
+        ({"seed": -1}, "seed must be a whole number ≥ 0"),
+        ({"folds": 99}, "too few to leave out 99 parts"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Ensemble.fit(small_cases, config, engine, **change)
+    with pytest.raises(InputError, match="needs a Cases"):
+        Ensemble.fit([1], config, engine)
+
+
+# ---- cross-validation and sweeps -------------------------------------------------------
+
+
+def test_parts_are_whole_waveforms_and_geometries(small_cases):
+    found = parts(small_cases)
+    assert list(found) == [("waveform", k) for k in range(4)] + [("geometry", k) for k in (1, 2, 3)]
+    for (label, value), positions in found.items():
+        chosen = small_cases.labels[label] == value
+        assert positions.tolist() == np.flatnonzero(chosen).tolist()
+    with pytest.raises(InputError, match="nothing can be held out"):
+        parts(small_cases.select([0]))
+
+
+def test_cross_validation(small_cases, config, engine, tmp_path):
+    table = cross_validate(small_cases, config, engine, 3, folder=tmp_path, progress=False)
+    assert table.index.names == ["label", "value"]
+    assert table["cases"].tolist() == [3] * 4 + [4] * 3
+    assert table["failure"].isna().all()
+    held = small_cases.select(waveform=[2])
+    rest = small_cases.select(waveform=[0, 1, 3])
+    model = PCNDE.fit(rest, config, engine, 3, progress=False)
+    row = table.loc[("waveform", 2)]
+    errors = model.evaluate(held).iloc[-1], model.evaluate(rest).iloc[-1]
+    assert row[NUMBERS].tolist() == [*errors[0], *errors[1]]
+    parallel = cross_validate(small_cases, config, engine, 3, executor=processes(2), progress=False)
+    assert parallel[NUMBERS].equals(table[NUMBERS])
+    again = cross_validate(small_cases, config, engine, 3, folder=tmp_path, progress=False)
+    pd.testing.assert_frame_equal(again, table)
+
+
+def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
+    engine = FailingEngine({0})
+    table = cross_validate(small_cases, config, engine, retries=0, progress=False)
+    assert table["failure"].iloc[0] == "OSError: lost"
+    assert table[NUMBERS].iloc[0].isna().all()
+    assert table["failure"].iloc[1:].isna().all()
+    assert table[NUMBERS].iloc[1:].notna().all(axis=None)
+
+
+def test_a_sweep(small_cases, config, engine):
+    train, held = small_cases.select(waveform=[0, 1, 3]), small_cases.select(waveform=[2])
+    configs = {"plain": config, "longer": config.replace(flow={"iterations": 5})}
+    table = sweep(train, held, configs, (0, 4), engine, progress=False)
+    assert list(table.index) == [(name, k) for name in configs for k in (0, 4)]
+    model = PCNDE.fit(train, configs["longer"], engine, 4, progress=False)
+    assert table.loc[("longer", 4), NUMBERS[:3]].tolist() == model.evaluate(held).iloc[-1].tolist()
+    assert table["flow"].nunique() == 4
+    alone = sweep(train, None, {"plain": config}, (0,), engine, progress=False)
+    assert "flow" not in alone
+    assert alone["train_flow"].iloc[0] == table["train_flow"].iloc[0]
+    with pytest.raises(InputError, match="at least one configuration and one seed"):
+        sweep(train, held, {}, (0,), engine)
+
+
+# ---- what a file tells -----------------------------------------------------------------
+
+
+def test_what_is_needed_to_run_a_fit_again(small_cases, config, engine, ensemble, tmp_path):
+    ensemble.save(tmp_path / "ensemble")
+    ensemble.members[1].save(tmp_path / "model")
+    PCNDE.fit(small_cases, config, engine, checkpoint=tmp_path / "run", progress=False)
+    found = {name: describe(tmp_path / name) for name in ("model", "ensemble", "run")}
+    assert {name: value["kind"] for name, value in found.items()} == {
+        "model": "model",
+        "ensemble": "ensemble",
+        "run": "checkpoint",
+    }
+    assert [found[name]["provenance"]["seed"] for name in found] == [1, 0, 0]
+    assert found["ensemble"]["members"] == 3
+    assert found["run"]["finished"] == found["run"]["units"] == 2 * 3 + 2 + 2
+    for value in found.values():
+        facts = value["provenance"]
+        assert value["preset"] == "paper"
+        assert value["changes"]["batch_size"] == 5
+        assert type(config).from_dict(json.loads(json.dumps(value["config"]))) == config
+        assert facts["cases_fingerprint"] == small_cases.fingerprint()
+        labels = small_cases.labels[["geometry", "waveform"]].to_numpy().tolist()
+        assert facts["cases_labels"] == labels
+        assert facts["engine"] == "toy"
+        assert facts["versions"]["toy"] == "1"
+        assert facts["command"]
+        text = dict(lines(value))
+        assert text["seed"] == str(facts["seed"])
+        assert text["preset"].startswith("paper, but flow.epochs = 2")
+
+
+def test_info_on_the_command_line(ensemble, tmp_path, run_pcnde):
+    path = tmp_path / "ensemble"
+    ensemble.save(path)
+    code, printed, _ = run_pcnde("info", path)
+    assert code == 0
+    assert "calibrated spread" in printed
+    assert "geometry 3: waveforms 0, 1, 2, 3" in printed
+    code, printed, _ = run_pcnde("info", path, "--json")
+    assert code == 0
+    assert json.loads(printed) == json.loads(json.dumps(describe(path)))
+    path.write_bytes(path.read_bytes()[:2000])
+    code, _, err = run_pcnde("info", path)
+    assert code == 2
+    assert "damaged" in err
+    write_archive(path, "something", 1, {}, {})
+    code, _, err = run_pcnde("info", path)
+    assert code == 2
+    assert "not a pcnde_bridge model but a 'something' file" in err

@@ -1,0 +1,252 @@
+"""Many tasks on any executor: same results, failures kept apart, nothing finished is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import FileError, InputError, SolveError, TaskError
+from pcnde_bridge.archive import read_archive
+from pcnde_bridge.tasks import Outcome, processes, remove_results, run
+
+
+def work(seed):
+    """Depends on every bit of the seed's numbers."""
+    numbers = np.random.default_rng(seed).standard_normal(100)
+    return {"numbers": numbers, "sum": float(numbers.sum()), "where": {"seed": seed}}
+
+
+def refuse(task):
+    raise AssertionError("was done before")
+
+
+def fail_until(task):
+    """Fail as often as the task says, counting in a file."""
+    path, times, error = task
+    done = len(path.read_text()) if path.exists() else 0
+    path.write_text("x" * (done + 1))
+    if done < times:
+        raise error
+    return done
+
+
+def kill_once(task):
+    """Kill this process the first time, or every time."""
+    path, often = task
+    if path is None:
+        time.sleep(0.2)  # so that the pool breaks while this runs
+        return os.getpid()
+    if often or not path.exists():
+        path.write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def nproc(_):
+    return os.environ.get("NPROC")
+
+
+def same(results, others):
+    return list(results) == list(others) and all(
+        np.array_equal(results[name]["numbers"], others[name]["numbers"])
+        and results[name]["sum"] == others[name]["sum"]
+        and results[name]["where"] == others[name]["where"]
+        for name in results
+    )
+
+
+SEEDS = {f"seed {k}": k for k in range(6)}
+
+
+@pytest.fixture(scope="module")
+def serial():
+    return run(work, SEEDS, progress=False).check()
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        yield pool
+
+
+def test_in_this_process(serial):
+    assert list(serial) == list(SEEDS)
+    assert serial["seed 3"]["where"] == {"seed": 3}
+
+
+def test_any_executor_gives_the_same(serial, pool):
+    with ThreadPoolExecutor(3) as threads:
+        assert same(run(work, SEEDS, executor=threads, progress=False).check(), serial)
+    assert same(run(work, SEEDS, executor=pool, progress=False).check(), serial)
+    assert same(run(work, SEEDS, executor=processes(2), progress=False).check(), serial)
+
+
+def test_nothing_to_do():
+    assert run(work, {}, executor=processes(1), progress=False) == Outcome({}, {})
+
+
+def test_processes_have_one_thread_of_xla(monkeypatch):
+    monkeypatch.delenv("NPROC", raising=False)
+    tasks = {"a": 0}
+    assert run(nproc, tasks, executor=processes(1), progress=False).results == {"a": "1"}
+    assert "NPROC" not in os.environ
+    with pytest.raises(InputError, match="at least 1"):
+        processes(0)
+
+
+# ---- failures ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_a_failure_is_retried_or_reported_and_the_rest_is_kept(tmp_path, parallel):
+    tasks = {
+        "good": (tmp_path / "good", 0, None),
+        "once": (tmp_path / "once", 1, OSError("the network")),
+        "always": (tmp_path / "always", 99, ValueError("no number")),
+        "ours": (tmp_path / "ours", 99, SolveError("It diverges.")),
+    }
+    with ThreadPoolExecutor(2) as threads:
+        executor = threads if parallel else None
+        outcome = run(fail_until, tasks, executor=executor, retries=2, progress=False)
+    assert outcome.results == {"good": 0, "once": 1}
+    assert outcome.failures == {"always": "ValueError: no number", "ours": "It diverges."}
+    tried = {name: len((tmp_path / name).read_text()) for name in tasks}
+    # Its own errors would come again.
+    assert tried == {"good": 1, "once": 2, "always": 3, "ours": 1}
+    with pytest.raises(TaskError, match=r"2 of 4 tasks failed \(always: ValueError: no number; "):
+        outcome.check()
+
+
+def test_a_worker_that_dies_is_replaced_and_only_the_guilty_fail(tmp_path):
+    tasks = {
+        "innocent": (None, False),
+        "once": (tmp_path / "once", False),
+        "always": (tmp_path / "always", True),
+        "late": (None, False),
+    }
+    outcome = run(kill_once, tasks, executor=processes(2), progress=False)
+    assert list(outcome.results) == ["innocent", "once", "late"]
+    assert outcome.failures == {"always": "its worker process died"}
+
+
+def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
+    tasks = {"always": (tmp_path / "always", True)} | {f"t{k}": (None, False) for k in range(3)}
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        outcome = run(kill_once, tasks, executor=pool, progress=False)
+        assert outcome.results == {}
+        assert list(outcome.failures) == list(tasks)
+        assert "give what makes a pool, such as processes(2)" in outcome.failures["t2"]
+        again = run(kill_once, {"t": (None, False)}, executor=pool, progress=False)
+        assert list(again.failures) == ["t"]
+
+
+# ---- folder ---------------------------------------------------------------------
+
+
+def stop_at(seed):
+    if seed == 4:
+        raise KeyboardInterrupt
+    return work(seed)
+
+
+def test_a_run_that_ended_continues_with_the_same_results(tmp_path, serial):
+    folder = tmp_path / "results" / "of mine"
+    with pytest.raises(KeyboardInterrupt):
+        run(stop_at, SEEDS, folder=folder, progress=False)
+    assert sorted(p.stem for p in folder.iterdir()) == [f"seed {k}" for k in range(4)]
+    rest = {name: k for name, k in SEEDS.items() if k < 4}
+    assert same(
+        run(refuse, rest, folder=folder, progress=False).check(),
+        {name: serial[name] for name in rest},
+    )
+    assert same(run(work, SEEDS, folder=folder, progress=False).check(), serial)
+    assert same(run(refuse, SEEDS, folder=folder, progress=False).check(), serial)
+    remove_results(folder)
+    assert not folder.exists()
+
+
+def test_results_of_other_tasks_are_refused_and_damaged_ones_made_again(tmp_path, serial, caplog):
+    facts = {"config": {"hidden": (8, 8)}}
+    run(work, SEEDS, folder=tmp_path, facts=facts, progress=False)
+    run(refuse, SEEDS, folder=tmp_path, facts=facts, progress=False).check()
+    with pytest.raises(InputError, match="is the result of other tasks"):
+        run(refuse, SEEDS, folder=tmp_path, facts={"config": {}}, progress=False)
+    path = tmp_path / "seed 2.npz"
+    path.write_bytes(path.read_bytes()[:100])
+    assert same(run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check(), serial)
+    assert "The task is done again" in caplog.text
+    assert read_archive(path, "pcnde-task", 1, "result")
+    (tmp_path / "mine.npz").write_text("not a result")
+    remove_results(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.npz"]
+
+
+def test_folders_and_names_that_cannot_be_used(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="Cannot make the folder"):
+        run(refuse, SEEDS, folder=tmp_path / "file" / "f", progress=False)
+    for name in ("", "../up", ".hidden", "a/b", "a\0"):
+        with pytest.raises(InputError, match="cannot name a task"):
+            run(refuse, {name: 1}, progress=False)
+    with pytest.raises(InputError, match="only mappings can be kept"):
+        run(abs, {"a": -1}, folder=tmp_path, progress=False)
+
+
+# ---- dask --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def client():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def slowly(task):
+    """Say who works, and take long enough to be killed."""
+    seed, folder = task
+    (folder / f"{os.getpid()}-{seed}").touch()
+    time.sleep(0.3)
+    return work(seed)
+
+
+def test_dask_gives_the_same(client, serial):
+    outcome = run(work, SEEDS, executor=client.get_executor(), progress=False)
+    assert same(outcome.check(), serial)
+
+
+def test_dask_with_a_worker_killed_midway_gives_the_same(client, serial, tmp_path):
+    from threading import Thread
+
+    began, kept = tmp_path / "began", tmp_path / "kept"
+    began.mkdir()
+    killed = []
+
+    def kill():
+        while not list(kept.glob("*.npz")) or len(list(began.iterdir())) < 3:
+            time.sleep(0.02)
+        newest = max(began.iterdir(), key=lambda path: path.stat().st_mtime_ns)
+        killed.append(int(newest.name.partition("-")[0]))
+        os.kill(killed[0], signal.SIGKILL)
+
+    thread = Thread(target=kill, daemon=True)
+    thread.start()
+    tasks = {name: (seed, began) for name, seed in SEEDS.items()}
+    outcome = run(slowly, tasks, executor=client.get_executor(), folder=kept, progress=False)
+    thread.join()
+    assert same(outcome.check(), serial)
+    workers = {int(path.name.partition("-")[0]) for path in Path(began).iterdir()}
+    assert killed[0] in workers
+    assert len(workers) >= 2
