@@ -8,13 +8,14 @@ from pcnde_bridge.studies.errors import (
     pointwise_errors,
 )
 from pcnde_bridge.studies.fourier_effect import FourierEffect, fourier_effect
-from pcnde_bridge.studies.noise import NoiseStudy, noise_study
+from pcnde_bridge.studies.noise import NoiseStudy, NoisyInput, noise_study
 from pcnde_bridge.studies.pressure_drop import PressureDrops, pressure_drops
 
 __all__ = [
     "ACTIVATIONS",
     "FourierEffect",
     "NoiseStudy",
+    "NoisyInput",
     "PointwiseErrors",
     "PressureDrops",
     "activation_study",

@@ -40,7 +40,7 @@ PAPER_SPREAD: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """The paper's :meth:`NoiseStudy.spread`: level 0.05, 90 draws, hardest case."""
 
-_BLOCK = 30  # draws that a task predicts at once
+_BLOCK = 32  # at most so many rows are predicted at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,54 +146,61 @@ def noise_study(
         raise InputError(f"level must be a number ≥ 0, got {level!r}.")
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 2:
         raise InputError(f"draws must be a whole number ≥ 2, got {draws!r}.")
-    unperturbed = {name: values[0] for name, values in model.predict(case).variables().items()}
-    inputs = noisy_inputs(case, noisy, level, int(draws), seed)
-    blocks = [slice(i, i + _BLOCK) for i in range(0, int(draws), _BLOCK)]
+    model.check_grid(case)
+    # Blocks of one size, as engines compile for each size.  What the draws leave of them
+    # is filled with the exact input, of which one is needed anyway.
+    count = -(-(draws + 1) // _BLOCK)
+    size = -(-(draws + 1) // count)
+    exact = count * size - draws
+    inflow, area_undeformed = noisy_inputs(case, noisy, level, draws, seed, exact)
+    blocks = [slice(i, i + size) for i in range(0, count * size, size)]
     solutions = each(
         _predict,
         repeat(portable(model.engine, executor)),
         repeat(model.config),
         repeat(model.parameters),
-        [inputs["inflow"][block] for block in blocks],
-        [inputs["area_undeformed"][block] for block in blocks],
+        [inflow[block] for block in blocks],
+        [area_undeformed[block] for block in blocks],
         repeat(Grid(case.time, case.z, case.period)),
         executor=executor,
     )
-    parts = list(zip(*solutions, strict=True))
     drawn = {
-        name: np.concatenate(values)
-        for name, values in zip(VARIABLES, parts, strict=True)
-        if values[0] is not None
+        name: np.concatenate(parts)
+        for name, parts in zip(VARIABLES, zip(*solutions, strict=True), strict=True)
+        if parts[0] is not None
     }
     return NoiseStudy(
         noisy,
         float(level),
         int(draws),
         case,
-        unperturbed,
-        {name: values.mean(axis=0) for name, values in drawn.items()},
-        {name: values.std(axis=0) for name, values in drawn.items()},
+        {name: values[0] for name, values in drawn.items()},
+        {name: values[exact:].mean(axis=0) for name, values in drawn.items()},
+        {name: values[exact:].std(axis=0) for name, values in drawn.items()},
     )
 
 
 def noisy_inputs(
-    case: Cases, noisy: NoisyInput, level: float, draws: int, seed: int
-) -> dict[str, Array]:
-    """Inflow (draw, time) and undeformed area (draw, z) of one case, one of them noisy."""
+    case: Cases, noisy: NoisyInput, level: float, draws: int, seed: int = 0, exact: int = 0
+) -> tuple[Array, Array]:
+    """Inflow (row, time) and undeformed area (row, z) of one case, one of them noisy.
+
+    The first ``exact`` rows have no noise.
+    """
     rng = np.random.default_rng(seed)
     inputs = {
-        "inflow": np.repeat(case.inflow, draws, axis=0),
-        "area_undeformed": np.repeat(case.area_undeformed, draws, axis=0),
+        "inflow": np.repeat(case.inflow, exact + draws, axis=0),
+        "area_undeformed": np.repeat(case.area_undeformed, exact + draws, axis=0),
     }
-    exact = inputs[noisy]
-    size = level * np.abs(exact).max()
-    values = exact + size * rng.standard_normal(exact.shape)
+    clean = inputs[noisy][exact:].copy()
+    size = level * np.abs(clean).max()
+    values = clean + size * rng.standard_normal(clean.shape)
     if noisy == "area_undeformed":
         # At least half of the draws of each value are positive, so this ends.
         while (empty := values <= 0).any():
-            values[empty] = exact[empty] + size * rng.standard_normal(int(empty.sum()))
-    inputs[noisy] = values
-    return inputs
+            values[empty] = clean[empty] + size * rng.standard_normal(int(empty.sum()))
+    inputs[noisy][exact:] = values
+    return inputs["inflow"], inputs["area_undeformed"]
 
 
 def _predict(

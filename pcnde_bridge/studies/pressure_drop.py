@@ -10,11 +10,14 @@ import pandas as pd
 
 from pcnde_bridge import stenosis
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import Physics
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import POOLED, relative_error
-from pcnde_bridge.model import PCNDE
 
 Array = npt.NDArray[np.float64]
+
+
+_PHYSICS = Physics()
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +31,12 @@ class PressureDrops:
     truth, predicted, empirical : array of shape (case, time)
         p(L/3) − p(2L/3) of the cases and of the model, and Δp of Seeley and Young,
         dyn/cm².
-    reference_pressure : float
-        p_ref, dyn/cm².
     """
 
     cases: Cases = field(repr=False)
     truth: Array = field(repr=False)
     predicted: Array = field(repr=False)
     empirical: Array = field(repr=False)
-    reference_pressure: float
 
     def to_frame(self) -> pd.DataFrame:
         """Relative errors of the drop, a row for each case and one for all pooled.
@@ -64,34 +64,37 @@ class PressureDrops:
         return pd.DataFrame(rows, index=index)
 
 
-def pressure_drops(model: PCNDE, cases: Cases) -> PressureDrops:
-    """Compare the model's pressure drop with the formula's.
+def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -> PressureDrops:
+    """Compare the pressure drop of a prediction with the formula's.
 
     The drop is taken from the point nearest to L/3 to the one nearest to 2L/3, between
     which the paper's pressure model drops.  The formula gets the cases' own flow at the
-    throat, K_t and L_s of the model's settings, and the undeformed areas.
+    throat, which is where S_u is smallest, and the undeformed areas.
 
     Parameters
     ----------
-    model : PCNDE
-        A model that predicts pressure.
+    pressure : array of shape (case, time, z)
+        Predicted p, dyn/cm².
     cases : Cases
-        Cases to predict; the throat is where S_u is smallest.
+        The truth.
+    physics : Physics
+        Of blood and stenosis: ``model.config.physics``.
 
     Raises
     ------
     InputError
-        If the model predicts no pressure, or the cases' grid is not the model's.
+        If the pressure is not that of the cases.
     """
-    predicted = model.predict(cases)
-    if predicted.pressure is None:
-        raise InputError("The model predicts no pressure, so it has no pressure drop.")
+    if np.shape(pressure) != cases.pressure.shape:
+        raise InputError(
+            f"The pressure has the shape {np.shape(pressure)}, that of the cases is "
+            f"{cases.pressure.shape}."
+        )
     start, length = cases.z[0], cases.z[-1] - cases.z[0]
     first, second = (
         int(np.abs(cases.z - start - part * length).argmin()) for part in (1 / 3, 2 / 3)
     )
     throat = cases.area_undeformed.argmin(axis=1)
-    physics = model.config.physics
     empirical: Array = stenosis.pressure_drop(
         cases.flow[np.arange(len(cases)), :, throat],
         cases.area_undeformed[:, :1],
@@ -101,10 +104,5 @@ def pressure_drops(model: PCNDE, cases: Cases) -> PressureDrops:
         viscosity=physics.viscosity,
         turbulent_coefficient=physics.turbulent_coefficient,
     )
-    return PressureDrops(
-        cases,
-        cases.pressure[:, :, first] - cases.pressure[:, :, second],
-        predicted.pressure[:, :, first] - predicted.pressure[:, :, second],
-        empirical,
-        physics.reference_pressure,
-    )
+    truth, predicted = (p[:, :, first] - p[:, :, second] for p in (cases.pressure, pressure))
+    return PressureDrops(cases, truth, predicted, empirical)
