@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge import studies
+from pcnde_bridge import plots, studies
 from pcnde_bridge.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import EngineError, FileError, InputError
@@ -166,20 +166,14 @@ class Entry:
 
 
 def _data_set(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     return Drawn(plots.data_set(material.train, material.test))
 
 
 def _history(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     return Drawn(plots.loss_history(material.model.history))
 
 
 def _results(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     labels = material.judged.labels["geometry"]
     shown = material.judged.select(geometry=labels.max())
     figure = plots.results(
@@ -201,8 +195,6 @@ def _results(material: Material) -> Drawn:
 
 
 def _error_matrix(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     matrices = studies.error_matrix(material.predicted(material.cases), material.cases)
     return Drawn(
         plots.error_matrix(matrices, material.train), pd.concat(matrices, names=["variable"])
@@ -210,8 +202,6 @@ def _error_matrix(material: Material) -> Drawn:
 
 
 def _pressure_drop(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     predicted = material.predicted(material.judged)
     if "pressure" not in predicted:
         raise InputError("The model predicts no pressure, so it has no pressure drop.")
@@ -223,19 +213,12 @@ def _pressure_drop(material: Material) -> Drawn:
 
 
 def _pointwise_errors(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     errors = studies.pointwise_errors(material.predicted(material.hardest), material.hardest)
-    numbers = {"mean": {}, "largest": {}}  # type: dict[str, dict[str, float]]
-    for name, distance in errors.distance.items():
-        numbers["mean"][name], numbers["largest"][name] = distance.mean(), distance.max()
     figure = plots.pointwise_errors(errors, truth_label=material.truth_label)
-    return Drawn(figure, pd.DataFrame(numbers).rename_axis("variable"))
+    return Drawn(figure, errors.to_frame())
 
 
 def _box_plots(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     methods = {"PCNDE": material.predicted(material.judged)}
     other = material.by_other(material.judged)
     if other is not None:
@@ -245,16 +228,12 @@ def _box_plots(material: Material) -> Drawn:
 
 
 def _fourier_effect(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     effect = studies.fourier_effect(material.model, material.train)
     figure = plots.fourier_effect(effect, truth_label=material.truth_label)
     return Drawn(figure, effect.to_frame())
 
 
 def _noise(material: Material, noisy: studies.NoisyInput) -> Drawn:
-    from pcnde_bridge import plots
-
     study = studies.noise_study(material.model, material.hardest, noisy, executor=material.executor)
     return Drawn(plots.noise(study, truth_label=material.truth_label), study.to_frame())
 
@@ -268,8 +247,6 @@ def _noise_area(material: Material) -> Drawn:
 
 
 def _activations(material: Material) -> Drawn:
-    from pcnde_bridge import plots
-
     study = studies.activation_study(
         material.model, material.train, material.test, executor=material.executor
     )

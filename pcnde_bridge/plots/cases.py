@@ -61,7 +61,7 @@ def data_set(train: Cases, test: Cases | None = None) -> Figure:
     over_time.set_xlabel(TIME)
     over_time.set_ylabel("inflow Q_in (mL/s)")
     along.set_xlabel(SPACE)
-    along.set_ylabel("radius undeformed (mm)")
+    along.set_ylabel("undeformed radius (mm)")
     along.set_ylim(bottom=0)
     matrix.set_xlabel("waveform")
     matrix.set_ylabel("geometry")

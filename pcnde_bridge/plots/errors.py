@@ -55,12 +55,13 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
         raise InputError("There is no error matrix to plot.")
     shape = next(iter(matrices.values())).shape
     size = 0.34
-    width = len(matrices) * (size * shape[1] + 0.9) + 0.3
-    figure, axes = new_figure(max(width, 4), max(size * shape[0] + 0.9, 2.2), 1, len(matrices))
+    # At least wide enough for the titles.
+    width = max(size * shape[1] + 0.5, 2.6)
+    figure, axes = new_figure(len(matrices) * width + 0.3, size * shape[0] + 0.85, 1, len(matrices))
     for axis, (name, matrix) in zip(axes[0], matrices.items(), strict=True):
         percent = 100 * matrix.to_numpy()
         largest = np.nanmax(percent)
-        image = axis.imshow(percent, cmap=ERRORS, vmin=0, vmax=largest, aspect="equal")
+        axis.imshow(percent, cmap=ERRORS, vmin=0, vmax=largest, aspect="equal")
         for (row, column), value in np.ndenumerate(percent):
             if np.isfinite(value):
                 colour = "white" if value > 0.55 * largest else "black"
@@ -71,8 +72,7 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
         axis.set_yticks(range(matrix.shape[0]), [str(key) for key in matrix.index])
         axis.tick_params(labelsize=8)
         axis.set_xlabel("waveform")
-        axis.set_title(QUANTITIES[name][0])
-        figure.colorbar(image, ax=axis, shrink=0.8, label="relative error (%)")
+        axis.set_title(f"{QUANTITIES[name][0]}: relative error (%)", fontsize=10)
         if training is not None:
             _frame(axis, matrix, training)
     axes[0, 0].set_ylabel("geometry")
@@ -84,7 +84,7 @@ def _frame(axis: Any, matrix: pd.DataFrame, training: Cases) -> None:
     keys = set(training.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     inside = np.array([[(g, w) in keys for w in matrix.columns] for g in matrix.index])
     padded = np.pad(inside, 1)
-    look = {"color": TRUTH, "lw": 2.0, "solid_capstyle": "projecting"}
+    look = {"color": TRUTH, "lw": 2.0, "solid_capstyle": "projecting", "clip_on": False}
     for row, column in np.argwhere(padded[:, 1:] != padded[:, :-1]):
         axis.plot([column - 0.5] * 2, [row - 1.5, row - 0.5], **look)
     for row, column in np.argwhere(padded[1:] != padded[:-1]):
@@ -147,10 +147,12 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
 
 def _distance(name: str) -> str:
     """Label of an error's colours."""
-    if name == "area":
-        return "|S − S_3D| / S_3D(t = 0)"
     symbol = QUANTITIES[name][0].split()[-1]
-    return f"|{symbol} − {symbol}_3D| ({QUANTITIES[name][1]})"
+    return (
+        f"|Δ{symbol}| / {symbol}(t = 0)"
+        if name == "area"
+        else f"|Δ{symbol}| ({QUANTITIES[name][1]})"
+    )
 
 
 def box_plots(statistics: pd.DataFrame) -> Figure:

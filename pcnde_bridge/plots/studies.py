@@ -109,7 +109,7 @@ def fourier_effect(
     z_index = place(cases, position)
     time = np.concatenate([cases.time, cases.time + cases.period])
     first = effect.intermediate[case, :, z_index]
-    figure, axes = new_figure(5.2, 3.3)
+    figure, axes = new_figure(5.8, 3.3)
     axis = axes[0, 0]
     axis.axvline(cases.time[0] + cases.period, color="black", lw=0.8)
     for values, look, name in (

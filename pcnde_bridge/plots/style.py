@@ -32,7 +32,7 @@ CURVES: dict[str, dict[str, Any]] = {
 }
 """How a method's lines look where there are many of them."""
 
-VALUES, ERRORS = "viridis", "cividis_r"
+VALUES, ERRORS = "viridis", "Blues"
 """Colour maps of values and of errors; their lightness changes evenly."""
 
 MMHG = 1333.22
@@ -145,6 +145,8 @@ def moment(cases: Cases, part: float) -> int:
 
 def case_name(cases: Cases, case: int) -> str:
     """Name a case: its blockage, if known, and its labels."""
-    row = cases.labels.iloc[case]
-    blockage = "" if np.isnan(row["blockage"]) else f"{100 * row['blockage']:.0f} % blockage, "
-    return f"{blockage}geometry {row['geometry']}, waveform {row['waveform']}"
+    geometry, waveform, blockage = (
+        cases.labels[name].iloc[case] for name in ("geometry", "waveform", "blockage")
+    )
+    known = "" if np.isnan(blockage) else f"{100 * blockage:.0f} % blockage, "
+    return f"{known}geometry {geometry}, waveform {waveform}"

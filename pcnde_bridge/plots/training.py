@@ -45,6 +45,8 @@ def loss_history(history: pd.DataFrame) -> Figure:
     InputError
         If the history is empty.
     """
+    from matplotlib.ticker import MaxNLocator
+
     stages = [stage for stage in _STAGE_UNITS if (history["stage"] == stage).any()]
     if not stages:
         raise InputError("There is no history to plot: the model was not fitted here.")
@@ -68,6 +70,9 @@ def loss_history(history: pd.DataFrame) -> Figure:
             axis.plot(means["number"], means["loss"], "-", lw=1.6, color=TRUTH)
         if (loss > 0).all() and loss.max() > 10 * loss.min():
             axis.set_yscale("log")
+        else:
+            axis.ticklabel_format(axis="y", useOffset=False, scilimits=(-2, 3))
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.set_title(name, fontsize=10)
         axis.set_xlabel("iteration")
         axis.set_ylabel(f"loss ({unit})")

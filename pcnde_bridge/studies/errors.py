@@ -57,6 +57,13 @@ class PointwiseErrors:
     predicted: Mapping[str, Array] = field(repr=False)
     distance: Mapping[str, Array] = field(repr=False)
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the mean and the largest distance of each variable."""
+        measures = {
+            name: {"mean": d.mean(), "largest": d.max()} for name, d in self.distance.items()
+        }
+        return pd.DataFrame.from_dict(measures, orient="index").rename_axis("variable")
+
 
 def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseErrors:
     """Absolute errors of one case; the area's are relative to its area at the first instant.
