@@ -23,7 +23,7 @@ import pandas as pd
 from pcnde_bridge import plots, studies
 from pcnde_bridge.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import EngineError, FileError, InputError
+from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
@@ -345,17 +345,21 @@ def make_figures(
     Returns
     -------
     list of Made
-        Files, or why there are none: a figure that does not suit the model is left out.
+        Files, or why there are none: a figure that does not suit the model, or whose
+        equations diverge, is left out.
 
     Raises
     ------
     InputError
-        If there is no figure of a name, or one asked for by name does not suit the
-        model or the data.
+        If there is no figure of a name, one asked for by name does not suit the model
+        or the data, or the data's grid is not the model's.
+    SolveError
+        If the equations of a figure asked for by name diverge.
     FileError
         If the folder or a file cannot be written.
     """
     entries = choose(only, with_studies)
+    material.model.check_grid(material.cases)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder} is a file; give a folder for the figures.")
@@ -369,11 +373,9 @@ def make_figures(
             on_entry(number, len(entries), entry)
         try:
             drawn = entry.draw(material)
-        except FileError:
-            raise
-        except InputError as error:
+        except (InputError, SolveError) as error:
             if only:
-                raise InputError(f"{entry.name}: {error}") from error
+                raise type(error)(f"{entry.name}: {error}") from error
             made.append(Made(entry, reason=str(error)))
             continue
         made.append(Made(entry, _write(folder, entry.name, drawn), drawn.numbers))

@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, FileError, InputError
+from pcnde_bridge import PCNDE, Cases, FileError, InputError, SolveError
 from pcnde_bridge import figures as module
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures, outermost
 from pcnde_bridge.metrics import pooled_errors
+
+pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
 
 ALWAYS = [entry.name for entry in FIGURES if not entry.cost]
 
@@ -124,6 +126,33 @@ def test_what_does_not_suit_the_model_is_left_out_or_refused(material, tmp_path,
     left = {result.entry.name: result.reason for result in made if result.reason}
     assert list(left) == ["fourier-effect"]
     assert "no Fourier stage" in left["fourier-effect"]
+
+
+def test_equations_that_diverge_cost_one_figure_only(material, tmp_path, unpainted, monkeypatch):
+    def diverges(*arguments, **options):
+        raise SolveError("case 3 diverges")
+
+    monkeypatch.setattr("pcnde_bridge.studies.noise_study", diverges)
+    made = make_figures(material, tmp_path)
+    left = {result.entry.name: result.reason for result in made if result.reason}
+    assert left == dict.fromkeys(["noise-inflow", "noise-area"], "case 3 diverges")
+    with pytest.raises(SolveError, match="noise-area: case 3 diverges"):
+        make_figures(material, tmp_path, only=["noise-area"])
+
+
+def test_another_grid_is_refused_at_once(material, small_cases, tmp_path):
+    cut = Cases(
+        small_cases.flow[:, :, 1:],
+        small_cases.area[:, :, 1:],
+        small_cases.pressure[:, :, 1:],
+        small_cases.area_undeformed[:, 1:],
+        small_cases.time,
+        small_cases.z[1:],
+        labels=small_cases.labels,
+    )
+    with pytest.raises(InputError, match="model was trained on 21"):
+        make_figures(Material(material.model, cut, cut), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_other_method_may_not_suit_the_data(material, caplog):

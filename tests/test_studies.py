@@ -312,6 +312,9 @@ def test_pointwise_errors_by_hand(toy_model, hardest):
     frame = errors.to_frame()
     assert frame.loc["flow", "mean"] == flow.mean()
     assert frame.loc["area", "largest"] == area.max()
+    # 21 points: ten on either side of the middle.
+    assert frame.loc["flow", "upstream"] == pytest.approx(flow[:, :10].mean())
+    assert frame.loc["flow", "downstream"] == pytest.approx(flow[:, 11:].mean())
 
 
 def test_pointwise_errors_are_of_one_case(small_cases, predicted):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-TRUTH, PREDICTED, OTHER, EMPIRICAL = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
+TRUTH, PREDICTED, OTHER, EMPIRICAL = "#D55E00", "#0072B2", "#009E73", "#000000"
 """Truth, PCNDE, another method, an empirical formula."""
 
 CURVES: dict[str, dict[str, Any]] = {

@@ -58,11 +58,26 @@ class PointwiseErrors:
     distance: Mapping[str, Array] = field(repr=False)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return the mean and the largest distance of each variable."""
-        measures = {
-            name: {"mean": d.mean(), "largest": d.max()} for name, d in self.distance.items()
+        """Scalar measures, a row for each variable.
+
+        Returns
+        -------
+        DataFrame
+            ``mean`` and ``largest`` distance, and its means ``upstream`` and
+            ``downstream`` of the vessel's middle.
+        """
+        middle = (self.case.z[0] + self.case.z[-1]) / 2
+        first, second = self.case.z < middle, self.case.z > middle
+        rows = {
+            name: {
+                "mean": float(values.mean()),
+                "largest": float(values.max()),
+                "upstream": float(values[:, first].mean()),
+                "downstream": float(values[:, second].mean()),
+            }
+            for name, values in self.distance.items()
         }
-        return pd.DataFrame.from_dict(measures, orient="index").rename_axis("variable")
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
 
 
 def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseErrors:
