@@ -169,8 +169,7 @@ def cross_validate_(
     from pcnde_bridge.tasks import processes
 
     settings = _settings(preset, config)
-    if csv is not None:
-        check_writable(csv)
+    _check_writable(csv)
     table = cross_validate(
         _split(load_cases(data), split)["train"],
         settings,
@@ -511,6 +510,59 @@ def bench(
     _print_bench(rows, list(sets))
     if data == "synthetic":
         _out.print("The 1D solver made these data: its own errors on them say nothing.")
+
+
+@app.command()
+def figures(
+    model: ModelArgument,
+    data: DataArgument,
+    out: Annotated[Path, typer.Option("--out", help="Folder for PNG, PDF and CSV files.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="Make this figure; may be given several times."),
+    ] = None,
+    studies: Annotated[
+        bool,
+        typer.Option("--studies", help="Also those that train models anew, which takes minutes."),
+    ] = False,
+    split: SplitOption = "paper",
+    engine: EngineOption = EngineChoice.auto,
+) -> None:
+    """Make the paper's figures, and the numbers behind them, for a model and a data set."""
+    from pcnde_bridge.datasets import load_cases
+    from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures
+    from pcnde_bridge.model import PCNDE
+
+    names = only or []
+    choose(names)
+    fitted = PCNDE.load(model, engine=engine.value)
+    cases = load_cases(data)
+    sets = _split(cases, split)
+    material = Material(fitted, cases, sets["train"], sets.get("test"))
+    if data == "synthetic":
+        material.truth_label, material.other = "1D solver", None
+    elif data != "published":
+        material.truth_label = "truth"
+
+    def announce(number: int, count: int, entry: Entry) -> None:
+        cost = f"; {entry.cost}" if entry.cost else ""
+        _notes.print(
+            f"[{number}/{count}] {entry.name}: {entry.about}{cost}",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
+
+    made = make_figures(material, out, only=names, with_studies=studies, on_entry=announce)
+    for result in made:
+        if result.reason:
+            _say(f"{result.entry.name}: left out. {result.reason}")
+        else:
+            _say(f"{result.entry.name}: {', '.join(path.name for path in result.files)}")
+    if not names and not studies:
+        left = [f"{entry.name} ({entry.cost})" for entry in FIGURES if entry.cost]
+        _say(f"Not made without --studies: {', '.join(left)}.")
+    _say(f"The files are in {out}.")
 
 
 @app.command()

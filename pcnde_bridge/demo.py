@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from pcnde_bridge import checkpoints
@@ -19,6 +18,7 @@ from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PCNDEConfig, resolve_config
 from pcnde_bridge.engines import Engine, EngineName, select_engine
 from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.figures import outermost
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import error_table, pooled_errors
 from pcnde_bridge.model import PCNDE
@@ -222,9 +222,7 @@ def _write_predictions(
             columns=["periodicity", "volume_balance"], errors="ignore"
         )
         frame.to_csv(temporary, index=False, float_format="%.7g", compression="gzip")
-    # The narrowest stenosis under the strongest wave.
-    labels = test.labels
-    hardest = int(np.lexsort((labels["waveform"], labels["geometry"]))[-1])
+    hardest = outermost(test)
     inflow = {"time": test.time, "inflow": test.inflow[hardest]}
     _write_table(folder / "inflow.csv", pd.DataFrame(inflow))
     area = {"z": test.z, "area": test.area_undeformed[hardest]}

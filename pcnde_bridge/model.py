@@ -298,8 +298,7 @@ class PCNDE:
         return self._predict(q, s_u, grid, labels, samples, seed)
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
-        if not self.any_grid:
-            self._check_grid(cases)
+        self.check_grid(cases)
         grid = Grid(cases.time, cases.z, cases.period)
         inputs = cases.inflow, cases.area_undeformed
         return self._predict(*inputs, grid, cases.labels, samples, seed)
@@ -507,7 +506,16 @@ class PCNDE:
             f"engine {self.engine.name})"
         )
 
-    def _check_grid(self, cases: Cases) -> None:
+    def check_grid(self, cases: Cases) -> None:
+        """Raise unless the model can predict on the cases' grid.
+
+        Raises
+        ------
+        InputError
+            Naming the first difference.
+        """
+        if self.any_grid:
+            return
         for name, mine, theirs in (
             ("time", self.grid.time - self.grid.time[0], cases.time - cases.time[0]),
             ("z", self.grid.z, cases.z),

@@ -205,7 +205,7 @@ def _solve(
     outlet = Windkessel(OUTLET_RESISTANCE)
     numbered = list(enumerate(vessels, start=1))
     parts = []
-    with _fewer_words():
+    with fewer_words():
         for number, vessel in track(
             numbered,
             f"Computing {len(vessels) * len(waveforms)} cases",
@@ -255,7 +255,7 @@ def _joined(parts: Sequence[Cases]) -> Cases:
 
 
 @contextmanager
-def _fewer_words() -> Iterator[None]:
+def fewer_words() -> Iterator[None]:
     """Without the solver's line for every case; its warnings stay."""
     logger = logging.getLogger("pcnde_bridge.tube1d")
     level = logger.level

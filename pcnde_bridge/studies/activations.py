@@ -1,0 +1,154 @@
+"""Activation functions of the pressure network (section 3.2 of the paper).
+
+Flow and area do not know the pressure network, so only the two pressure stages are
+fitted again, to the same numbers as in a whole fit with that activation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from itertools import repeat
+from typing import Any, get_args
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import Activation, PCNDEConfig
+from pcnde_bridge.engines import Engine, EngineName, select_engine
+from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.metrics import relative_error
+from pcnde_bridge.model import PCNDE
+from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
+from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.training import Trainer, TrainingState, plan
+
+Array = npt.NDArray[np.float64]
+
+ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
+"""The paper's, in its order."""
+
+
+def activation_study(
+    model: PCNDE,
+    train: Cases,
+    test: Cases | None = None,
+    *,
+    activations: Sequence[Activation] = ACTIVATIONS,
+    seeds: Sequence[int] = (0,),
+    executor: Executor | None = None,
+) -> pd.DataFrame:
+    """Fit the pressure stages of a model with each activation function.
+
+    Parameters
+    ----------
+    model : PCNDE
+        A model with networks (any preset but ``physics``), which gives flow and area.
+    train : Cases
+        Its training cases.
+    test : Cases, optional
+        Other cases to predict.
+    activations : sequence of str
+        Of 'tanh', 'gelu', 'relu', 'sigmoid' and 'swish'.
+    seeds : sequence of int
+        Of the pressure network's first weights; all activations are fitted with each.
+    executor : concurrent.futures.Executor, optional
+        Who runs the fits; None runs them here.  The result is the same.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by ``activation`` and ``seed``.  ``train`` and ``test`` are the relative
+        errors of the pressure; ``train_explained`` and ``test_explained`` the part of
+        its variance over time that is predicted: about 0 if only the mean over time is
+        learnt, 1 at best.
+
+    Raises
+    ------
+    InputError
+        If the model has no pressure network, or an argument is not usable.
+    """
+    config = model.config
+    if not isinstance(config, PCNDEConfig) or not isinstance(model.parameters, Parameters):
+        raise InputError(
+            "A model of the preset physics has no pressure network whose activation could be "
+            "changed. Give a model of the preset paper or fast."
+        )
+    unknown = [name for name in activations if name not in get_args(Activation)]
+    if unknown or not activations or not seeds:
+        raise InputError(
+            f"Give at least one seed and activations of {list(get_args(Activation))}, got "
+            f"{list(activations)} and the seeds {list(seeds)}."
+        )
+    tasks = [(activation, int(seed)) for activation in activations for seed in seeds]
+    rows = each(
+        _fit_and_measure,
+        repeat(portable(model.engine, executor)),
+        [config.replace(temporal_pressure={"activation": name}) for name, _ in tasks],
+        repeat(model.parameters),
+        [seed for _, seed in tasks],
+        repeat(train),
+        repeat(test),
+        executor=executor,
+    )
+    index = pd.MultiIndex.from_tuples(tasks, names=["activation", "seed"])
+    return pd.DataFrame(list(rows), index=index)
+
+
+def fit_pressure(
+    engine: Engine, config: PCNDEConfig, parameters: Parameters, seed: int, train: Cases
+) -> Parameters:
+    """Fit the two pressure stages anew, with flow and area as they are.
+
+    The same numbers as of a whole fit with this seed, if its flow and area are these.
+    """
+    first = TrainingState.start(train, config, seed)
+    fresh = {stage: getattr(first.parameters, stage) for stage in PRESSURE_STAGES}
+    units = plan(config, len(first.batches))
+    before = sum(unit.work not in PRESSURE_STAGES for unit in units)
+    state = TrainingState(seed, first.batches, parameters.replace(**fresh), finished=before)
+    return Trainer(train, config, engine).run(state).parameters
+
+
+def _fit_and_measure(
+    engine: Engine | EngineName,
+    config: PCNDEConfig,
+    parameters: Parameters,
+    seed: int,
+    train: Cases,
+    test: Cases | None,
+) -> dict[str, Any]:
+    """Errors of the pressure with one activation."""
+    computing = select_engine(engine)
+    fitted = fit_pressure(computing, config, parameters, seed, train)
+    row = {}
+    for name, cases in (("train", train), ("test", test)):
+        if cases is None:
+            continue
+        grid = Grid(cases.time, cases.z, cases.period)
+        solved = computing.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
+        assert solved.pressure is not None
+        row[name] = relative_error(solved.pressure, cases.pressure)
+        row[f"{name}_explained"] = explained_variation(solved.pressure, cases.pressure)
+    return row
+
+
+def explained_variation(predicted: Array, truth: Array) -> float:
+    """Part of the variance over time, at each point of each case, that is predicted.
+
+    Parameters
+    ----------
+    predicted, truth : array of shape (case, time, z)
+        Of the same variable.
+
+    Returns
+    -------
+    float
+        1 − Σ(Y′ − Y′_GT)²/Σ Y′_GT², with Y′ the difference from the mean over time.
+    """
+    varies = truth - truth.mean(axis=1, keepdims=True)
+    wrong = predicted - predicted.mean(axis=1, keepdims=True) - varies
+    return float(1 - np.sum(wrong**2) / np.sum(varies**2))

@@ -1,0 +1,266 @@
+"""``pcnde figures``: which figures, their files, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from pcnde_bridge import PCNDE, Cases, FileError, InputError, SolveError
+from pcnde_bridge import figures as module
+from pcnde_bridge.config import PHYSICS
+from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures, outermost
+from pcnde_bridge.metrics import pooled_errors
+
+pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
+
+ALWAYS = [entry.name for entry in FIGURES if not entry.cost]
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Painting takes longer than all the rest; tests of the figures do it."""
+
+    def write(folder, name, drawn):
+        (folder / f"{name}.png").write_bytes(b"\x89PNG")
+        return (folder / f"{name}.png",)
+
+    monkeypatch.setattr(module, "_write", write)
+
+
+@pytest.fixture
+def toy_model(small_cases, toy_config, toy_engine) -> PCNDE:
+    train = small_cases.split("paper").train
+    return PCNDE.fit(train, toy_config, engine=toy_engine, seed=3, progress=False)
+
+
+class Shifted:
+    """Another method: the truth, a little larger."""
+
+    def fit(self, train):
+        return self
+
+    def predict(self, cases):
+        return {
+            "flow": cases.flow * 1.1,
+            "area": cases.area * 1.1,
+            "pressure": cases.pressure * 1.1,
+        }
+
+
+@pytest.fixture
+def material(toy_model, small_cases) -> Material:
+    return Material(toy_model, small_cases, *small_cases.split("paper"), other=Shifted())
+
+
+def test_every_figure_is_made(material, tmp_path, unpainted):
+    seen = []
+    made = make_figures(
+        material,
+        tmp_path / "out",
+        with_studies=True,
+        on_entry=lambda number, count, entry: seen.append((number, count, entry.name)),
+    )
+    assert seen == [(i, len(FIGURES), entry.name) for i, entry in enumerate(FIGURES, 1)]
+    assert [result.reason for result in made] == [""] * len(FIGURES)
+    assert len(list((tmp_path / "out").iterdir())) == len(FIGURES)
+    tables = {result.entry.name: result.numbers for result in made}
+
+    test = material.test
+    expected = pooled_errors(material.model.predict(test).variables(), test)
+    for variable, error in expected.items():
+        assert tables["results"].loc[("PCNDE", "test"), variable] == pytest.approx(error)
+    assert tables["results"].loc[("1D solver", "test"), "flow"] == pytest.approx(0.1)
+    assert tables["box-plots"].loc[("area", "1D solver"), "median"] == pytest.approx(0.1)
+    assert tables["error-matrix"].shape == (9, 4)
+    assert list(tables["noise-inflow"].index) == ["flow", "area", "pressure"]
+    assert len(tables["activations"]) == 5
+
+
+def test_files_are_whole_and_repeatable(material, tmp_path):
+    for folder in ("one", "two"):
+        (made,) = make_figures(material, tmp_path / folder, only=["box-plots"])
+        assert [path.name for path in made.files] == [
+            "box-plots.png",
+            "box-plots.pdf",
+            "box-plots.csv",
+        ]
+    for start, suffix in ((b"\x89PNG", "png"), (b"%PDF", "pdf"), (b"variable,method", "csv")):
+        one, two = ((tmp_path / folder / f"box-plots.{suffix}") for folder in ("one", "two"))
+        assert one.read_bytes().startswith(start)
+        assert one.read_bytes() == two.read_bytes()
+    read = pd.read_csv(tmp_path / "one" / "box-plots.csv", index_col=["variable", "method"])
+    pd.testing.assert_frame_equal(read, made.numbers)
+    assert {p.name for p in (tmp_path / "one").iterdir()} == {f.name for f in made.files}
+
+
+def test_a_failure_leaves_no_half_figure(material, tmp_path, monkeypatch):
+    (tmp_path / "box-plots.png").write_text("old")
+
+    def savefig(path, **options):
+        path.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    def draw(material):
+        return module.Drawn(SimpleNamespace(savefig=savefig))
+
+    monkeypatch.setattr(module, "FIGURES", (Entry("box-plots", "", draw),))
+    with pytest.raises(FileError, match="disk is full"):
+        make_figures(material, tmp_path)
+    assert (tmp_path / "box-plots.png").read_text() == "old"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_does_not_suit_the_model_is_left_out_or_refused(material, tmp_path, unpainted):
+    material.model.config = PHYSICS.replace()
+    material.__dict__["_predicted"] = Shifted().predict(material.cases)
+    chosen = [name for name in ALWAYS if not name.startswith("noise")]
+    with pytest.raises(InputError, match="fourier-effect: A model of the preset physics"):
+        make_figures(material, tmp_path, only=chosen)
+    entries = tuple(entry for entry in FIGURES if entry.name in chosen)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FIGURES", entries)
+        made = make_figures(material, tmp_path)
+    left = {result.entry.name: result.reason for result in made if result.reason}
+    assert list(left) == ["fourier-effect"]
+    assert "no Fourier stage" in left["fourier-effect"]
+
+
+def test_equations_that_diverge_cost_one_figure_only(material, tmp_path, unpainted, monkeypatch):
+    def diverges(*arguments, **options):
+        raise SolveError("case 3 diverges")
+
+    monkeypatch.setattr("pcnde_bridge.studies.noise_study", diverges)
+    made = make_figures(material, tmp_path)
+    left = {result.entry.name: result.reason for result in made if result.reason}
+    assert left == dict.fromkeys(["noise-inflow", "noise-area"], "case 3 diverges")
+    with pytest.raises(SolveError, match="noise-area: case 3 diverges"):
+        make_figures(material, tmp_path, only=["noise-area"])
+
+
+def test_another_grid_is_refused_at_once(material, small_cases, tmp_path):
+    cut = Cases(
+        small_cases.flow[:, :, 1:],
+        small_cases.area[:, :, 1:],
+        small_cases.pressure[:, :, 1:],
+        small_cases.area_undeformed[:, 1:],
+        small_cases.time,
+        small_cases.z[1:],
+        labels=small_cases.labels,
+    )
+    with pytest.raises(InputError, match="model was trained on 21"):
+        make_figures(Material(material.model, cut, cut), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_other_method_may_not_suit_the_data(material, caplog):
+    class Unsuitable(Shifted):
+        def predict(self, cases):
+            raise InputError("the points are too far apart")
+
+    material.other = Unsuitable()
+    assert material.by_other(material.judged) is None
+    assert "too far apart" in caplog.text
+    assert material.by_other(material.judged) is None
+
+
+def test_without_test_cases_the_training_cases_are_judged(toy_model, small_cases):
+    material = Material(toy_model, small_cases, small_cases, other=None)
+    assert material.judged is small_cases
+    assert material.hardest.labels[["geometry", "waveform"]].to_numpy().tolist() == [[3, 3]]
+    assert list(module._results(material).numbers.index) == [("PCNDE", "train")]
+
+
+def test_predictions_keep_to_their_cases(material, small_cases):
+    shuffled = small_cases.select([7, 0, 11])
+    alone = material.model.predict(shuffled).flow
+    assert material.predicted(shuffled)["flow"].tolist() == alone.tolist()
+    with pytest.raises(KeyError):
+        material.by_other(material.train)
+
+
+def test_outermost(small_cases):
+    assert outermost(small_cases) == 11
+    assert outermost(small_cases.select([11, 0, 5])) == 0
+
+
+def test_choosing():
+    assert [entry.name for entry in choose()] == ALWAYS
+    assert [entry.name for entry in choose(with_studies=True)] == [e.name for e in FIGURES]
+    assert [entry.name for entry in choose(["activations", "results"])] == [
+        "results",
+        "activations",
+    ]
+    with pytest.raises(InputError, match=r"no figure 'result'; the figures are: data-set, history"):
+        choose(["result"])
+    assert len({entry.name for entry in FIGURES}) == len(FIGURES)
+
+
+# ---- the command line ---------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
+    """A model, a data set and a split in files."""
+    toy_model.save(tmp_path / "model.npz")
+    small_cases.save(tmp_path / "cases.npz")
+    split = {"train": [[1, 0], [1, 1], [2, 0]], "test": [[3, 3], [3, 2]]}
+    (tmp_path / "split.json").write_text(json.dumps(split))
+    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
+    monkeypatch.setenv("COLUMNS", "200")
+    return tmp_path
+
+
+def test_pcnde_figures(run_pcnde, files, unpainted):
+    out = files / "made"
+    code, text, notes = run_pcnde(
+        "figures", files / "model.npz", files / "cases.npz", "--out", out, "--split", "paper"
+    )
+    assert code == 0, notes
+    assert sorted(path.stem for path in out.iterdir()) == sorted(ALWAYS)
+    assert f"[1/{len(ALWAYS)}] data-set: waveforms" in notes
+    assert f"[{len(ALWAYS)}/{len(ALWAYS)}] noise-area" in notes
+    assert "Not made without --studies: activations (fits the pressure stages five times)." in text
+    assert str(out) in text
+
+
+def test_pcnde_figures_only_and_with_a_split(run_pcnde, files):
+    out = files / "made"
+    options = ("--only", "pointwise-errors", "--only", "data-set", "--split", files / "split.json")
+    code, text, notes = run_pcnde(
+        "figures", files / "model.npz", files / "cases.npz", "--out", out, *options
+    )
+    assert code == 0, notes
+    assert {path.name for path in out.iterdir()} == {
+        "data-set.png",
+        "data-set.pdf",
+        "pointwise-errors.png",
+        "pointwise-errors.pdf",
+        "pointwise-errors.csv",
+    }
+    assert "pointwise-errors: pointwise-errors.png, pointwise-errors.pdf" in text
+    assert "--studies" not in text
+
+
+def test_pcnde_figures_says_what_is_wrong(run_pcnde, files):
+    model, data = files / "model.npz", files / "cases.npz"
+    (files / "file").write_text("mine")
+    for arguments, words in (
+        ((model, data, "--out", files / "x", "--only", "result"), "There is no figure 'result'"),
+        ((model, data, "--out", files / "file"), "is a file; give a folder"),
+        ((model, files / "none", "--out", files / "x"), "neither a file or folder"),
+        ((files / "none.npz", data, "--out", files / "x"), "none.npz"),
+        ((data, data, "--out", files / "x"), "cases.npz"),
+        ((model, data, "--out", files / "x", "--split", files / "no.json"), "no split file"),
+        ((model, data, "--out", files / "file" / "x"), "Cannot make the folder"),
+    ):
+        code, text, notes = run_pcnde("figures", *arguments)
+        assert code == 2, (arguments, notes)
+        assert notes.startswith("Error: "), notes
+        assert words in notes
+        assert "Traceback" not in text + notes
+        assert not (files / "x").exists()
+    assert (files / "file").read_text() == "mine"
+    assert run_pcnde("figures", model, data)[0] == 2
