@@ -27,11 +27,12 @@ _STAGE_UNITS = {
     "spatial_pressure": ("spatial pressure", "p_ref²"),
 }
 
-_LABELS = {
+LABELS: dict[str, tuple[str, float]] = {
     "flow": ("flow Q (mL/s)", 1.0),
     "area": ("area S (mm²)", 100.0),
     "pressure": ("pressure p (mmHg)", 1 / 1333.22),
 }
+"""Axis title of each variable, and the factor from CGS to its unit."""
 
 
 def time_and_space(
@@ -80,7 +81,7 @@ def time_and_space(
     figure = Figure(figsize=(8, 2.4 * len(variables)), layout="constrained")
     axes = figure.subplots(len(variables), 2, squeeze=False)
     for (over_time, over_space), (name, values) in zip(axes, variables.items(), strict=True):
-        label, factor = _LABELS[name]
+        label, factor = LABELS[name]
         truth = getattr(cases, name)[case] * factor
         predicted = values[case] * factor
         for axis, x, rows in (
