@@ -4,6 +4,9 @@ One callback draws, and it only takes what is ready at once: the prediction, and
 has been computed before for the same inputs.  When the controls have rested, two others
 compute the interval and the 1D solver's solution, and have it drawn again.  What they
 compute is kept under its inputs, so that a late result is never drawn beside other curves.
+
+That they are done they say by ``set_props``, not by an output: Dash would draw nothing
+before the outputs that the drawing depends on are there.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_update
+from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_update, set_props
 from dash.exceptions import PreventUpdate
 
 from pcnde_bridge.app import page
@@ -79,11 +82,11 @@ def _draw(app: Dash, explorer: Explorer) -> None:
             "instant": Input("instant", "value"),
             "point": Input("point", "value"),
             "shown": Input("shown", "value"),
-            "_done": [Input("interval-done", "data"), Input("tube-done", "data")],
+            "_done": Input("done", "data"),
         },
     )
     def draw(
-        values: dict[str, Any], instant: int, point: int, shown: list[str], _done: list[Any]
+        values: dict[str, Any], instant: int, point: int, shown: list[str], _done: str | None
     ) -> dict[str, Any]:
         try:
             inputs = chosen(explorer, values)
@@ -124,11 +127,11 @@ def _novelty(scores: tuple[float, float] | None) -> tuple[bool, list[Any]]:
     # The score of the edge itself is off by round-off.
     beyond = [name for name, score in parts.items() if score > 1 + 1e-9]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
-    small = html.Small(f"Novelty: {numbers} (1 is the edge of the training data).")
+    small = html.Small(f"{numbers.capitalize()}; 1 is the edge.")
     if not beyond:
-        return False, [html.Strong(f"Novelty {max(scores):.2f}: inside the training data"), small]
+        return False, [html.Strong(f"Inside the training data: novelty {max(scores):.2f}"), small]
     return True, [
-        html.Strong(f"Novelty {max(scores):.2f}: outside the training data"),
+        html.Strong(f"Outside the training data: novelty {max(scores):.2f}"),
         f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any case "
         "that the model has learnt from. It extrapolates: do not rely on this prediction.",
         small,
@@ -156,14 +159,12 @@ def _progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]
 def _beside(app: Any, explorer: Explorer) -> None:
     app.clientside_callback(
         ClientsideFunction("pcnde", "rested"),
-        Output("rested", "data"),
         *(Input(*where) for where in CONTROLS.values()),
         Input("shown", "value"),
     )
     for name, compute in (("interval", explorer.interval), ("tube", explorer.tube)):
-        app.callback(Output(f"{name}-done", "data"), Input("rested", "data"))(
-            _later(explorer, name, compute)
-        )
+        later = _later(explorer, name, compute)
+        app.callback(Output(name, "data"), Input("rested", "data"))(later)
 
 
 def _later(
@@ -183,6 +184,7 @@ def _later(
                 raise PreventUpdate
             with contextlib.suppress(PCNDEError):  # kept, and said when the page is drawn
                 compute(chosen(explorer, rested))
+        set_props("done", {"data": f"{name} {number}"})
         return number
 
     return later

@@ -123,6 +123,11 @@ class Choices:
             model.any_grid,
         )
 
+    @property
+    def first(self) -> Inputs:
+        """What the controls stand at before anything is chosen."""
+        return self.inputs(self.blockage.start, self.scale.start)
+
     def inputs(
         self,
         blockage: float,

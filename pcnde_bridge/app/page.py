@@ -52,9 +52,8 @@ def layout(explorer: Explorer, name: str) -> html.Div:
     n_times, n_points = model.grid.time.size, model.grid.z.size
     cases = model.provenance.get("cases")
     facts = f"trained on {cases} cases, " if cases else ""
-    facts += f"{n_times} instants, {n_points} points"
-    first = choices.inputs(choices.blockage.start, choices.scale.start)
-    peak = int(first.waveform.samples(n_times).argmax())
+    facts += f"{n_times} instants × {n_points} points"
+    peak = int(choices.first.waveform.samples(n_times).argmax())
     return html.Div(
         [
             html.Header([html.H1("PCNDE"), html.Strong(name), html.Span(facts)]),
@@ -66,10 +65,13 @@ def layout(explorer: Explorer, name: str) -> html.Div:
                             html.Div(id="message", role="alert"),
                             *_controls(choices),
                             _beside(explorer),
-                            html.Button("Download prediction (CSV)", id="download", n_clicks=0),
-                            html.P(
-                                "As “pcnde predict” writes it: s, cm, mL/s, cm², dyn/cm².",
-                                className="hint",
+                            html.Button(
+                                [
+                                    "Download prediction (CSV)",
+                                    html.Small("units s, cm, mL/s, cm², dyn/cm²"),
+                                ],
+                                id="download",
+                                n_clicks=0,
                             ),
                         ]
                     ),
@@ -92,8 +94,9 @@ def layout(explorer: Explorer, name: str) -> html.Div:
             ),
             dcc.Store(id="waveform"),
             dcc.Store(id="rested"),
-            dcc.Store(id="interval-done"),
-            dcc.Store(id="tube-done"),
+            dcc.Store(id="interval"),
+            dcc.Store(id="tube"),
+            dcc.Store(id="done"),
             dcc.Download(id="csv"),
         ],
         id="page",
@@ -101,13 +104,13 @@ def layout(explorer: Explorer, name: str) -> html.Div:
 
 
 def _controls(choices: Choices) -> list[html.Div]:
-    inside = "training data" if choices.known else "usual"
+    inside = "training" if choices.known else "usual"
     length, position = choices.length, choices.position
     return [
         html.Div(
             [
                 html.H2("Vessel"),
-                _slider("blockage", "Blockage of the area (%)", choices.blockage, inside, 100),
+                _slider("blockage", "Blockage, area (%)", choices.blockage, inside, 100),
                 html.Div(
                     [
                         _slider("position", "Throat of the stenosis, z (cm)", position, inside),
@@ -121,7 +124,7 @@ def _controls(choices: Choices) -> list[html.Div]:
         html.Div(
             [
                 html.H2("Inflow"),
-                _slider("scale", "Oscillation, × waveform", choices.scale, inside),
+                _slider("scale", "Oscillation, factor", choices.scale, inside),
                 dcc.Upload(
                     ["Upload a waveform (CSV)", html.Small("columns time (s), flow (mL/s)")],
                     id="upload",
@@ -146,10 +149,16 @@ def base_note(choices: Choices) -> str:
 
 def _slider(name: str, label: str, span: Span, inside: str, factor: float = 1) -> html.Div:
     least, low, high, most, step, start = (round(factor * value, _DIGITS) for value in span)
-    reach = f"{low:g}" if low == high else f"{low:g} … {high:g}"
+    reach = f"{low:.2g}" if low == high else f"{low:.2g} … {high:.2g}"
     return html.Div(
         [
-            html.Label(label, htmlFor=name),
+            html.Div(
+                [
+                    html.Label(label, htmlFor=name),
+                    html.Small(f"{inside} {reach}".replace("-", "−")),
+                ],
+                className="label",
+            ),
             dcc.Slider(
                 least,
                 most,
@@ -160,7 +169,6 @@ def _slider(name: str, label: str, span: Span, inside: str, factor: float = 1) -
                 updatemode="drag",
                 included=False,
             ),
-            html.P(f"{inside}: {reach}", className="hint"),
         ],
         className="control",
     )
@@ -173,7 +181,9 @@ def _beside(explorer: Explorer) -> html.Div:
     return html.Div(
         [
             html.H2("Beside the prediction"),
-            dcc.Checklist(options, [option["value"] for option in options], id="shown"),
+            dcc.Checklist(
+                options, [option["value"] for option in options], inline=True, id="shown"
+            ),
             html.P(id="beside", className="hint"),
         ],
         className="group",
@@ -216,7 +226,9 @@ def _column(explorer: Explorer, name: str, control: str, count: int, start: int)
             ),
             dcc.Graph(
                 id=name,
-                figure=empty_figure(explorer, "position z (cm)" if name == "along" else "t (s)"),
+                figure=empty_figure(
+                    explorer, "position z (cm)" if name == "along" else "time t (s)"
+                ),
                 responsive=True,
                 config={"displaylogo": False, "displayModeBar": False},
                 className="graph",

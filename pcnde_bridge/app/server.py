@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import warnings
@@ -50,6 +51,8 @@ def make_app(model: PCNDE, name: str) -> Dash:
     from pcnde_bridge.app.explorer import Explorer
 
     explorer = Explorer(model)
+    with contextlib.suppress(PCNDEError):  # the page says it
+        explorer.prediction(explorer.choices.first)  # compiles, so that the page need not wait
     app = Dash(
         __name__,
         assets_folder=str(Path(__file__).with_name("assets")),
