@@ -127,11 +127,11 @@ def _novelty(scores: tuple[float, float] | None) -> tuple[bool, list[Any]]:
     # The score of the edge itself is off by round-off.
     beyond = [name for name, score in parts.items() if score > 1 + 1e-9]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
-    small = html.Small(f"{numbers.capitalize()}; 1 is the edge.")
+    small = html.Small(f"Novelty: {numbers}; 1 is the edge.")
     if not beyond:
-        return False, [html.Strong(f"Inside the training data: novelty {max(scores):.2f}"), small]
+        return False, [html.Strong("Inside the training data"), small]
     return True, [
-        html.Strong(f"Outside the training data: novelty {max(scores):.2f}"),
+        html.Strong("Outside the training data"),
         f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any case "
         "that the model has learnt from. It extrapolates: do not rely on this prediction.",
         small,

@@ -249,7 +249,7 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
     figure.update_xaxes(title_text=abscissa, row=len(names), col=1)
     figure.update_xaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")
     figure.update_yaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")
-    figure.update_yaxes(title_standoff=6, automargin=False, nticks=6)
+    figure.update_yaxes(title_standoff=6, automargin=False, nticks=5)
     figure.add_shape(
         type="line", xref="x", yref="paper", x0=0, x1=0, y0=0, y1=1, layer="below"
     ).update_shapes(line={"color": "#9aa5b1", "width": 1, "dash": "dot"})
