@@ -512,6 +512,21 @@ def bench(
         _out.print("The 1D solver made these data: its own errors on them say nothing.")
 
 
+@app.command("app")
+def explore(
+    model: ModelArgument,
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="Of this machine; 0 takes a free one.")
+    ] = 8050,
+) -> None:
+    """Serve a page, to this machine only, to explore a model."""
+    from pcnde_bridge.app.server import serve
+    from pcnde_bridge.model import PCNDE
+
+    # Julia computes in one thread only, and a server has several.
+    serve(PCNDE.load(model, engine="jax"), model.stem, port)
+
+
 @app.command()
 def figures(
     model: ModelArgument,

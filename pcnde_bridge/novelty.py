@@ -81,6 +81,42 @@ class Novelty:
             ),
         )
 
+    def inflow_ends(self, n_times: int) -> Array:
+        """Both ends of the training inflows along their first component.
+
+        Parameters
+        ----------
+        n_times : int
+            Equal steps of one cycle, from the training cases' first instant.
+
+        Returns
+        -------
+        array of shape (2, n_times)
+            Q_in, mL/s, of the harmonics that the description keeps.
+        """
+        ends = _ends(self.inflow_centre, self.inflow_axes, self.inflow_range)
+        real, imaginary = np.split(ends, 2, axis=1)
+        inflow: Array = np.fft.irfft((real + 1j * imaginary) * n_times, n=n_times, axis=1)
+        return inflow
+
+    def area_ends(self, z: Array) -> Array:
+        """Both ends of the training vessels along their first component.
+
+        Parameters
+        ----------
+        z : array of shape (z,)
+            Points from the inlet to the outlet, cm.
+
+        Returns
+        -------
+        array of shape (2, z)
+            S_u, cm².
+        """
+        at = np.linspace(0, 1, _PLACES)
+        place = (z - z[0]) / (z[-1] - z[0])
+        ends = _ends(self.area_centre, self.area_axes, self.area_range)
+        return np.array([np.interp(place, at, end[:_PLACES]) ** 2 for end in ends])
+
     def check(self) -> None:
         """Raise if the arrays do not belong together.
 
@@ -131,6 +167,15 @@ def _box(described: Array) -> tuple[Array, Array, Array, Array]:
     rest = np.linalg.norm(described - centre - along @ axes, axis=1).max()
     tolerated = max(float(rest), _TOLERATED * float(np.linalg.norm(centre)))
     return centre, axes, np.stack([(low + high) / 2, (high - low) / 2]), np.array([tolerated])
+
+
+def _ends(centre: Array, axes: Array, span: Array) -> Array:
+    """Descriptions at the lower and upper limit of the first component, (2, n)."""
+    if not len(axes):  # a single training case
+        return np.stack([centre, centre])
+    limits = span[0, 0] + np.array([[-1.0], [1.0]]) * span[1, 0]
+    ends: Array = centre + limits * axes[0]
+    return ends
 
 
 def _score(described: Array, centre: Array, axes: Array, span: Array, rest: Array) -> Array:

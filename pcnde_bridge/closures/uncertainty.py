@@ -206,10 +206,13 @@ def draw(
     along = np.linspace(0, 1, uncertainty.profile.shape[1])
     place = (grid.z - grid.z[0]) / (grid.z[-1] - grid.z[0])
     found = {name: np.empty((samples, *mean.flow.shape)) for name in VARIABLES}
+    largest = int(np.bincount(chosen).max(initial=0))
     for number, member in enumerate(uncertainty.members):
         rows = np.flatnonzero(chosen == number)
         if rows.size == 0:
             continue
+        # As many draws of each member, some of them twice: another number is compiled anew.
+        rows = np.resize(rows, largest)
         solution = closures.predict(
             parameters.replace(correction=member),
             shift[rows].ravel(),

@@ -1,0 +1,395 @@
+"""``pcnde app``: what it computes, who may reach it, and the page in a browser."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import re
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_closures import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waves
+
+from pcnde_bridge import PCNDE, InputError, PCNDEError
+from pcnde_bridge.app import server
+from pcnde_bridge.app.explorer import Explorer
+from pcnde_bridge.app.inputs import Choices, read_waveform
+from pcnde_bridge.closures.uncertainty import Uncertainty
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.novelty import Novelty
+from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.plots.style import QUANTITIES
+from pcnde_bridge.waveform import Waveform
+
+pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.novelty.OutsideTrainingWarning")
+
+ROOT = Path(__file__).parents[1]
+FACTORS = {name: factor for name, (*_, factor) in QUANTITIES.items()}
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Model of the preset ``physics``, put together rather than fitted."""
+    rng = np.random.default_rng(7)
+    members = CORRECTED.correction + 0.3 * np.where(np.arange(21) < 4, 0, rng.normal(size=(2, 21)))
+    uncertainty = Uncertainty(
+        members, np.array([0.5]), np.array([[0.01], [1e-4], [500.0]]) * np.ones(41), np.ones(3)
+    )
+    facts = {"cases": len(INFLOW)}
+    novelty = Novelty.of(INFLOW, AREA, Z)
+    engine = select_engine("jax")
+    return PCNDE(CONFIG, CORRECTED, GRID, engine, facts, (), uncertainty, novelty)
+
+
+@pytest.fixture(scope="module")
+def explorer(model):
+    return Explorer(model, samples=8)
+
+
+@pytest.fixture
+def bound(small_cases, toy_config, toy_engine):
+    """Model that is bound to its grid and does not know its training data."""
+    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    return PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
+
+
+def predicted(model, inputs, **options):
+    area = inputs.vessel.area_undeformed(Z)
+    return model.predict(inputs.waveform.samples(32), area, z=Z, period=1.0, **options)
+
+
+def table(time, *columns, header="time,flow"):
+    rows = (",".join(map(repr, map(float, row))) for row in zip(time, *columns, strict=True))
+    return "\n".join([header, *rows]).encode()
+
+
+# ---- what may be chosen ------------------------------------------------------
+
+
+def test_controls_follow_the_training_data(model):
+    choices = Choices.of(model)
+    assert choices.known
+    assert choices.any_grid
+    assert choices.base.samples(32) == pytest.approx(waves()[3], abs=1e-9)
+    assert (choices.scale.low, choices.scale.high) == pytest.approx((0.25, 1.0))
+    assert (choices.blockage.low, choices.blockage.high) == pytest.approx((0.3, 0.7), abs=5e-3)
+    assert choices.position.start == 2.0
+    assert choices.tube.diameter == pytest.approx(2 * np.sqrt(0.125 / np.pi), rel=5e-3)
+    # Half as deep as the throat where the training vessel is.
+    inputs = choices.inputs(0.7, 1.0)
+    radius = np.sqrt(VESSELS[3]) - np.sqrt(0.125)
+    throat = inputs.vessel.radius_undeformed(Z) - inputs.vessel.diameter / 2
+    share = [
+        np.interp(1.0 + choices.length.start / 4 + 1.0, Z, r / r.min()) for r in (radius, throat)
+    ]
+    assert share == pytest.approx([0.5, 0.5], abs=0.03)
+    for span in (choices.scale, choices.blockage):
+        assert span.least < span.low < span.start < span.high < span.most
+    for span in (choices.position, choices.length):
+        assert span.least < span.low == span.start == span.high < span.most
+
+
+def test_a_single_training_case_and_an_unknown_one_give_controls(model, bound):
+    novelty = Novelty.of(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
+    steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
+    choices = Choices.of(steady)
+    assert choices.first.waveform.samples(32) == pytest.approx(np.ones(32))
+    assert choices.first.vessel.blockage == 0
+    assert choices.blockage.most > choices.blockage.high == 0
+    choices = Choices.of(bound)
+    assert not choices.known
+    assert not choices.any_grid
+    # A model that is bound to its points keeps the stenosis where it was.
+    assert choices.inputs(0.5, 1, position=1.0, length=0.9) == choices.inputs(0.5, 1)
+    assert Explorer(bound).novelty(choices.first) is None
+
+
+def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
+    choices = explorer.choices
+    inside = explorer.novelty(choices.inputs(0.5, 1.0))
+    assert inside[0] == pytest.approx(1.0, abs=1e-6)
+    assert explorer.novelty(choices.inputs(0.5, choices.scale.most))[0] > 1.1
+    assert explorer.novelty(choices.inputs(0.5, 1.0, position=1.0))[1] > max(1.0, 3 * inside[1])
+
+
+# ---- what is shown -----------------------------------------------------------
+
+
+def test_curves_are_the_predictions_and_come_when_they_are_ready(model, explorer):
+    inputs, other = (explorer.choices.inputs(blockage, 0.8) for blockage in (0.55, 0.56))
+    found = predicted(model, inputs)
+    along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
+    for name in ("flow", "area", "pressure"):
+        values = getattr(found, name)[0] * FACTORS[name]
+        for panel, x, y in ((along[name], Z, values[5]), (over[name], TIME, values[:, 30])):
+            assert np.array_equal(panel.predicted.x, x)
+            assert panel.predicted.y == pytest.approx(y, rel=1e-12)
+            assert panel.low is panel.high is panel.tube is None
+    assert along["area"].given.y == pytest.approx(100 * inputs.vessel.area_undeformed(Z))
+    assert over["flow"].given.y == pytest.approx(inputs.waveform.samples(32))
+
+    limits = predicted(model, inputs, samples=8).interval(0.9)
+    explorer.interval(inputs)
+    cases = explorer.tube(inputs)
+    along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
+    for name in ("flow", "area", "pressure"):
+        for number, side in enumerate(("low", "high")):
+            limit = limits[name][number][0] * FACTORS[name]
+            assert getattr(along[name], side).y == pytest.approx(limit[5], rel=1e-12)
+            assert getattr(over[name], side).y == pytest.approx(limit[:, 30], rel=1e-12)
+        solved = getattr(cases, name)[0] * FACTORS[name]
+        # Instant 5 of 32 lies between 15 and 16 of the solver's 100, point 30 of 41 on its 75.
+        expected = 0.375 * solved[15] + 0.625 * solved[16]
+        assert along[name].tube.y == pytest.approx(expected, rel=1e-9)
+        assert over[name].tube.y == pytest.approx(solved[:, 75], rel=1e-9)
+    assert explorer.along(other, 5)["flow"].tube is None
+    assert explorer.interval.look(other) is None
+
+
+def test_solver_has_the_models_wall_and_outlet(explorer, bound):
+    tube, outlet = explorer.solver(explorer.choices.first)
+    radius = explorer.choices.tube.diameter / 2
+    assert tube.wall.stiffness == pytest.approx(1.0e6 / radius)
+    assert tube.wall.reference_pressure == 2.0e3
+    assert (outlet.resistance, outlet.distal_pressure) == (1.0e5, 5.0e3)
+    other = Explorer(bound)
+    _, outlet = other.solver(other.choices.first)
+    found = other.prediction(other.choices.first)
+    q, p = found.flow[0, :, -1], found.pressure[0, :, -1]
+    assert outlet.resistance == pytest.approx((p @ q) / (q @ q))
+
+
+def test_errors_are_kept_and_raised_again(explorer):
+    # Flow so strong that no balance is found, or the solver refuses it.
+    inputs = explorer.choices.inputs(0.95, 1.0, waveform=Waveform(500.0))
+    with pytest.raises(PCNDEError) as first:
+        explorer.tube(inputs)
+    assert explorer.tube.look(inputs) is first.value
+    with pytest.raises(PCNDEError):
+        explorer.tube(inputs)
+
+
+def test_download_is_the_predictions_frame(model, explorer):
+    inputs = explorer.choices.inputs(0.5, 0.9, position=2.4, length=0.6)
+    found = pd.read_csv(io.StringIO(explorer.csv(inputs)))
+    expected = predicted(model, inputs, samples=8).to_frame()
+    assert list(found) == list(expected)
+    assert np.allclose(found, expected, rtol=1e-12, atol=1e-15)
+
+
+# ---- uploads -----------------------------------------------------------------
+
+
+def test_uploaded_waveform_is_what_the_command_line_would_take(model, bound):
+    waveform, note = read_waveform(table(TIME, waves()[1]), "mine.csv", model)
+    assert waveform.samples(32) == pytest.approx(waves()[1], rel=1e-12)
+    assert "mine.csv: 32 instants over 1 s" in note
+    time = 0.8 * np.arange(100) / 100
+    two = table(time, waves(time / 0.8)[2], time, header="time,first,second")
+    waveform, note = read_waveform(two, "mine.csv", model)
+    assert waveform.period == pytest.approx(0.8)
+    assert waveform.n_terms == 15
+    assert waveform.samples(32) == pytest.approx(waves()[2], rel=1e-9)
+    assert "brought to the model's 32 instants; the first of 2 waveforms" in note
+    with pytest.raises(InputError, match=r"mine.csv has a period of 0.8 s, but this model works"):
+        read_waveform(table(time, time), "mine.csv", bound)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "Cannot read a table from bad.csv"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "Cannot read a table from bad.csv"),
+        (b"t,flow\n0,1\n1,2\n", r"bad.csv must have the columns time, then one"),
+        (b"time,flow\n0,1\n0.1,fast\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
+        (b"time,flow\n0,1\n0.1,\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
+        (b"time,flow\n0,1\n0.1,inf\n0.2,1\n", r"bad.csv: flow\[1\] is inf"),
+        (b"time,flow\n0,1\n0.1,2\n0.3,1\n", "bad.csv, line 3: the instants are not equally"),
+        (b"time,flow\n0,1\n0.1,2\n", "bad.csv: A waveform needs at least 3 samples"),
+    ],
+)
+def test_bad_uploads_are_named_and_said(model, content, message):
+    with pytest.raises(InputError, match=message) as error:
+        read_waveform(content, "bad.csv", model)
+    assert "upload.csv" not in str(error.value)
+
+
+# ---- who may reach it --------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def client(model):
+    pytest.importorskip("dash", reason="the extra app is not installed")
+    return server.make_app(model, "model").server.test_client()
+
+
+@pytest.mark.parametrize(
+    ("headers", "code"),
+    [
+        ({"Host": "127.0.0.1:8050"}, 200),
+        ({"Host": "localhost:9"}, 200),
+        ({"Host": "localhost", "Origin": "http://127.0.0.1:8050"}, 200),
+        ({"Host": "rebound.example:8050"}, 403),
+        ({"Host": "127.0.0.1.rebound.example"}, 403),
+        ({"Host": "rebound.example@127.0.0.1"}, 403),
+        ({"Host": "127.0.0.1", "Origin": "https://rebound.example"}, 403),
+        ({"Host": "127.0.0.1", "Origin": "null"}, 403),
+    ],
+)
+def test_only_this_machines_names_are_answered(client, headers, code):
+    for path in ("/", "/_dash-layout", "/_dash-dependencies", "/assets/page.js"):
+        assert client.get(path, headers=headers).status_code == code
+    if code == 403:
+        assert client.post("/_dash-update-component", headers=headers).status_code == 403
+
+
+def test_page_loads_nothing_from_elsewhere(client):
+    page = client.get("/").text
+    loaded = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert len(loaded) > 5
+    assert all(path.startswith("/") and not path.startswith("//") for path in loaded)
+
+
+def test_server_is_bound_to_this_machine_and_says_when_a_port_is_taken(model):
+    pytest.importorskip("dash", reason="the extra app is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"Port {port} .* cannot be used.*--port"):
+            server.make_server(model, "model", port)
+    made = server.make_server(model, "model", 0)
+    try:
+        assert made.socket.getsockname()[0] == "127.0.0.1"
+    finally:
+        made.server_close()
+
+
+def test_missing_extra_is_named(model, tmp_path, run_pcnde, monkeypatch):
+    monkeypatch.setattr(server, "find_spec", lambda name: None)
+    model.save(tmp_path / "model.npz")
+    code, _, errors = run_pcnde("app", tmp_path / "model.npz")
+    assert code == 1
+    assert 'pip install "pcnde-bridge[app]"' in errors
+
+
+# ---- in a browser ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bench():
+    """The benchmark, which knows how to drive a browser."""
+    pytest.importorskip("dash", reason="the extra app is not installed")
+    pytest.importorskip("selenium")
+    spec = importlib.util.spec_from_file_location("app_benchmark", ROOT / "benchmarks" / "app.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if module.programs() is None:
+        pytest.skip("no Chromium and chromedriver on this machine")
+    return module
+
+
+@pytest.fixture(scope="module")
+def page(bench, model):
+    with bench.served(model, "synthetic") as address, bench.browser() as driver:
+        driver.get(address)
+        bench.wait_for(lambda: bench.settled(driver))
+        yield driver
+
+
+def drawn(bench, page, column, trace="prediction"):
+    """Ordinates of a trace in every panel, by variable."""
+    found = [t["y"] for t in bench.curves(page, column) if t["name"] == trace]
+    return dict(zip(("flow", "area", "pressure"), map(np.array, found), strict=True))
+
+
+def chosen(page, control):
+    thumb = page.find_element("css selector", f"#{control} [role=slider]")
+    return float(thumb.get_attribute("aria-valuenow"))
+
+
+def assert_drawn(bench, page, model, inputs):
+    """The curves become what the model predicts, along the vessel and over the cycle."""
+    found = predicted(model, inputs)
+    instant, point = int(chosen(page, "instant")), int(chosen(page, "point"))
+
+    def as_predicted():
+        for name, factor in FACTORS.items():
+            values = getattr(found, name)[0] * factor
+            for column, y in (("along", values[instant]), ("over", values[:, point])):
+                if not np.allclose(drawn(bench, page, column)[name], y, rtol=0, atol=2e-6):
+                    return False
+        return True
+
+    bench.wait_for(as_predicted, 30)
+
+
+def test_moving_a_control_changes_the_curves(bench, page, model):
+    choices = Choices.of(model)
+    assert_drawn(bench, page, model, choices.first)
+    before = drawn(bench, page, "along")
+    times = bench.move(page, 3)
+    print(bench.describe("key to drawn", times["drawn"]))
+    assert chosen(page, "blockage") == pytest.approx(100 * choices.blockage.start - 1.5)
+    inputs = choices.inputs(chosen(page, "blockage") / 100, choices.scale.start)
+    assert_drawn(bench, page, model, inputs)
+    after = drawn(bench, page, "along")
+    assert all(not np.allclose(before[name], after[name], rtol=1e-6, atol=0) for name in FACTORS)
+    # What belongs to these inputs comes later.
+    bench.wait_for(lambda: bench.settled(page))
+    limits = predicted(model, inputs, samples=64).interval(0.9)["pressure"]
+    instant = int(chosen(page, "instant"))
+    band = drawn(bench, page, "along", "90 % interval")["pressure"]
+    expected = [limits[0][0, instant], limits[1][0, instant, ::-1]]
+    assert band == pytest.approx(np.concatenate(expected) * FACTORS["pressure"], abs=2e-6)
+    assert len(drawn(bench, page, "over", "1D solver")["flow"]) == 100
+
+
+def test_novelty_and_its_warning_are_said(bench, page, model):
+    from selenium.webdriver.common.keys import Keys
+
+    thumb = page.find_element("css selector", "#scale [role=slider]")
+    novelty = page.find_element("id", "novelty")
+    thumb.send_keys(Keys.END)
+    bench.wait_for(lambda: novelty.get_attribute("class") == "outside")
+    assert "Outside the training data" in novelty.text
+    assert "waveform" in novelty.text
+    assert "It extrapolates" in novelty.text
+
+
+def test_uploads_are_drawn_or_refused_in_words(bench, page, model, tmp_path):
+    upload = page.find_element("css selector", "#upload input[type=file]")
+    note = page.find_element("id", "uploaded")
+    bad, good = tmp_path / "bad.csv", tmp_path / "good.csv"
+    bad.write_bytes(b"time,flow\n0,1\n0.1,fast\n0.2,1\n")
+    good.write_bytes(table(TIME, 1.1 * waves()[1]))
+    blockage = chosen(page, "blockage") / 100
+    upload.send_keys(str(bad))
+    bench.wait_for(lambda: "Not taken. bad.csv, line 3, column flow: not a number" in note.text)
+    upload.send_keys(str(good))
+    bench.wait_for(lambda: "good.csv: 32 instants" in note.text)
+    waveform, _ = read_waveform(good.read_bytes(), "good.csv", model)
+    choices = Choices.of(model)
+    assert_drawn(bench, page, model, choices.inputs(blockage, 1.0, waveform=waveform))
+    page.find_element("id", "reset").click()
+    assert_drawn(bench, page, model, choices.inputs(blockage, choices.scale.start))
+
+
+def test_page_is_whole_and_from_this_machine_alone(bench, page):
+    names = page.execute_script(
+        "return performance.getEntriesByType('resource').map((entry) => entry.name)"
+    )
+    assert len(names) > 5
+    assert all(name.startswith(("http://127.0.0.1:", "data:", "blob:")) for name in names)
+    assert [entry for entry in page.get_log("browser") if entry["level"] == "SEVERE"] == []
+    for width in (1400, 420):
+        bench.resize(page, width, 900)
+        time.sleep(0.3)
+        wide = page.execute_script("return document.documentElement.scrollWidth")
+        assert wide <= width
+    bench.resize(page, *bench.WINDOW)
