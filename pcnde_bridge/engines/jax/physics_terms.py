@@ -47,13 +47,13 @@ def solve(
         i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
         share = (position - z[i]) / (z[i + 1] - z[i])
 
-        def here(on_grid: jax.Array) -> jax.Array:
+        def here(on_grid: jax.Array) -> Any:
             return (1 - share) * on_grid[i] + share * on_grid[i + 1]
 
         values = activation(here(on_grid) + flow @ network.from_flow)
         for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
-        result = values @ network.last + network.last_bias
+        result: jax.Array = values @ network.last + network.last_bias
         if "friction" in stage.terms:
             result = result + friction / (2 * (1 + DELTA))
         if "convection" in stage.terms:

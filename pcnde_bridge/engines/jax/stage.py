@@ -205,7 +205,7 @@ class JaxStage(Generic[InputsT]):
         return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
 
     def _losses(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
-        return jax.vmap(lambda vector: self._loss(vector, *data, config=config))(parameters)
+        return jax.vmap(lambda vector: self._loss(vector, *data, config))(parameters)
 
 
 def in_batches(
