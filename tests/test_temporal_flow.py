@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -58,7 +60,7 @@ def rate_of(vector, config):
     def rate(t, q):
         values = np.append(q, t) if stage.time_input else q
         start = 0
-        for layer, (n_in, n_out) in enumerate(zip(widths, widths[1:], strict=False)):
+        for layer, (n_in, n_out) in enumerate(pairwise(widths)):
             weight = vector[start : start + n_in * n_out].reshape(n_out, n_in, order="F")
             start += n_in * n_out
             values = weight @ values + vector[start : start + n_out]
