@@ -23,6 +23,7 @@ from pcnde_bridge.errors import InputError
 
 Activation = Literal["tanh", "gelu", "relu", "sigmoid", "swish"]
 Loss = Literal["mean", "sum"]
+Term = Literal["friction", "convection", "inertia"]
 
 _Config = TypeVar("_Config", bound="_Section")
 _Whole = TypeVar("_Whole", bound="_Settings")
@@ -111,7 +112,9 @@ class _Settings(_Section):
 def _smallest(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | tuple):
         return math.inf
-    return min(value, default=math.inf) if isinstance(value, tuple) else value
+    if not isinstance(value, tuple):
+        return value
+    return min((v for v in value if not isinstance(v, str)), default=math.inf)
 
 
 def _checked(value: Any, hint: Any, where: str) -> Any:
@@ -207,10 +210,14 @@ class BFGS(_Section):
 
 @dataclass(frozen=True)
 class FlowStage(_Section):
-    """Momentum equation ∂Q/∂z = f_θ(Q, S), a neural ODE in z.
+    """Momentum equation ∂Q/∂z = f_θ(Q, S) + physics terms, a neural ODE in z.
 
     Attributes
     ----------
+    terms : tuple of {'friction', 'convection', 'inertia'}
+        What section 3.6 adds to the network, of the 1D momentum equation solved for
+        ∂Q/∂z: N/(2(1+δ)), ½ (Q/S) ∂S/∂z and −(S/Q) ∂Q/∂t/(2(1+δ)).  None in the paper's
+        model: they make training harder (:mod:`pcnde_bridge.studies.landscapes`).
     hidden : tuple of int
         Widths of the hidden layers; input 2·n_t and output n_t follow the data.
     activation : str
@@ -233,6 +240,7 @@ class FlowStage(_Section):
         path does not depend on the scale, but for its gradient tolerance.
     """
 
+    terms: tuple[Term, ...] = ()
     hidden: tuple[int, ...] = _positive((8, 8, 8, 8))
     activation: Activation = "tanh"
     epochs: int = _positive(100)
@@ -244,6 +252,35 @@ class FlowStage(_Section):
     max_steps: int = _positive(256)
     steps: int | None = _positive(None)
     loss: Loss = "mean"
+
+
+@dataclass(frozen=True)
+class TemporalFlowStage(_Section):
+    """Momentum equation ∂Q/∂t = f_θ(Q) or f_θ(Q, t), a neural ODE in time (section 2.3).
+
+    The formulation that the paper compares its own with; no model is made of it
+    (:mod:`pcnde_bridge.studies.formulations`).
+
+    Attributes
+    ----------
+    hidden : tuple of int
+        Widths of the hidden layers; input n_z, with time n_z + 1, and output n_z.
+    activation : str
+        Between layers; the last layer is linear.
+    time_input : bool
+        Whether t/T is the network's last input.
+    steps : int
+        Runge–Kutta steps from instant to instant.
+    epochs, iterations : int
+        Passes through the batches, and BFGS iterations in each batch.
+    """
+
+    hidden: tuple[int, ...] = _positive((8, 8, 8, 8))
+    activation: Activation = "tanh"
+    time_input: bool = False
+    steps: int = _positive(1)
+    epochs: int = _positive(100)
+    iterations: int = _positive(5)
 
 
 @dataclass(frozen=True)
@@ -403,6 +440,8 @@ class PCNDEConfig(_Settings):
         Trained in turns, coupled.
     temporal_pressure, spatial_pressure : stage settings
         Trained after them.
+    temporal_flow : TemporalFlowStage
+        The formulation in time, which only a study uses.
     training : {'batches', 'all_at_once'}
         BFGS restarted in every batch (paper), or what ``all_at_once`` says; then the
         optimiser, the stages' epochs and iterations and the batch size do not matter.
@@ -427,6 +466,7 @@ class PCNDEConfig(_Settings):
     fourier_area: FourierAreaStage = FourierAreaStage()
     temporal_pressure: TemporalPressureStage = TemporalPressureStage()
     spatial_pressure: SpatialPressureStage = SpatialPressureStage()
+    temporal_flow: TemporalFlowStage = TemporalFlowStage()
     training: Literal["batches", "all_at_once"] = "batches"
     all_at_once: AllAtOnce = AllAtOnce()
     batch_size: int = _positive(12)

@@ -47,7 +47,7 @@ def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) ->
 
     Parameters
     ----------
-    stage : {'flow', 'temporal_pressure'}
+    stage : {'flow', 'temporal_pressure', 'temporal_flow'}
         The stages that have a network.
     config : PCNDEConfig
         Gives the hidden widths.
@@ -56,6 +56,8 @@ def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) ->
     """
     if stage == "flow":
         return (2 * n_times, *config.flow.hidden, n_times)
+    if stage == "temporal_flow":
+        return (n_points + config.temporal_flow.time_input, *config.temporal_flow.hidden, n_points)
     return (4 * n_points, *config.temporal_pressure.hidden, n_points)
 
 
@@ -175,6 +177,17 @@ def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: i
         ),
         spatial_pressure=np.concatenate([np.zeros(2 + n_times), np.ones(n_times)]),
     )
+
+
+def initial_temporal_flow(config: PCNDEConfig, n_points: int, seed: int) -> Array:
+    """Network of the momentum equation in time before training, Glorot-uniform.
+
+    Its input is Q at all points and, with ``time_input``, t/T; the other arguments are
+    those of :func:`initial_parameters`.
+    """
+    # No stage of the model has this stream.
+    rng = np.random.default_rng([seed, len(STAGES)])
+    return _glorot(layer_sizes("temporal_flow", config, 0, n_points), rng)
 
 
 def _stream(seed: int, stage: str) -> np.random.Generator:

@@ -232,8 +232,8 @@ class Trainer:
             )
         return state
 
-    def run(self, state: TrainingState) -> TrainingState:
-        """Run all units that are not finished.
+    def run(self, state: TrainingState, until: int | None = None) -> TrainingState:
+        """Run the units that are not finished: all, or up to ``until`` finished ones.
 
         Raises
         ------
@@ -243,10 +243,10 @@ class Trainer:
             If an equation diverges at the start of a fit.
         """
         units = plan(self._config, len(state.batches))
-        area = self._coupled_area(state)
+        area = self.coupled_area(state)
         began = time.perf_counter() - state.seconds
         try:
-            for unit in units[state.finished :]:
+            for unit in units[state.finished : until]:
                 record = Recorder(began, self.on_record)
                 parameters, couplings = state.parameters, state.couplings
                 if unit.work == "flow":
@@ -409,8 +409,8 @@ class Trainer:
         """Training and validation part in the first round, afterwards all cases."""
         return state.batches if unit.epoch == 1 else (np.arange(len(self._cases)),)
 
-    def _coupled_area(self, state: TrainingState) -> Array:
-        """Area that the flow network sees, computed again from the couplings so far."""
+    def coupled_area(self, state: TrainingState) -> Array:
+        """Area (case, time, z) that the flow network sees, computed from the couplings so far."""
         area = undeformed(self._cases.area_undeformed, self._cases.n_times)
         for parameters in state.couplings:
             area = self._next_area(parameters, area)

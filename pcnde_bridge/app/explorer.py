@@ -30,7 +30,7 @@ _KEPT = 32
 
 
 class Line(NamedTuple):
-    """A curve: abscissa (s or cm), ordinate in the units of :data:`pcnde_bridge.plots.style.QUANTITIES`."""
+    """A curve: abscissa (s or cm), ordinate in the units of the figures."""
 
     x: Array
     y: Array

@@ -60,6 +60,22 @@ class FlowInputs:
 
 
 @dataclass(frozen=True)
+class TemporalFlowInputs:
+    """Inputs of the momentum equation in time.
+
+    Attributes
+    ----------
+    inflow : array of shape (case, time)
+        Q(z=0, t), mL/s; linear in time between the instants.
+    initial_flow : array of shape (case, z)
+        Q at the first instant, mL/s.
+    """
+
+    inflow: Array
+    initial_flow: Array
+
+
+@dataclass(frozen=True)
 class IntermediateAreaInputs:
     """Inputs of the continuity equation.
 
@@ -205,6 +221,23 @@ class Stage(Protocol[InputsT]):
         """
         ...
 
+    def losses(
+        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+    ) -> Array:
+        """Squared error of :meth:`loss_and_gradient` at many parameter vectors at once.
+
+        Parameters
+        ----------
+        parameters : array of shape (vector, size)
+            One parameter vector in each row.
+
+        Returns
+        -------
+        array of shape (vector,)
+            Infinite where the equation cannot be integrated.
+        """
+        ...
+
     def objective(
         self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
     ) -> Objective:
@@ -247,6 +280,8 @@ class Engine(Protocol):
         What the ``physics`` preset needs.
     flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
         The five stages.
+    temporal_flow
+        The momentum equation in time, in the place of ``flow``.
     """
 
     name: str
@@ -279,6 +314,11 @@ class Engine(Protocol):
     @property
     def spatial_pressure(self) -> Stage[SpatialPressureInputs]:
         """Pressure drop along the vessel."""
+        ...
+
+    @property
+    def temporal_flow(self) -> Stage[TemporalFlowInputs]:
+        """Momentum equation in time."""
         ...
 
     @property

@@ -54,6 +54,7 @@ from pcnde_bridge.engines.base import (
     OnIteration,
     Solution,
     SpatialPressureInputs,
+    TemporalFlowInputs,
     TemporalPressureInputs,
 )
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
@@ -475,6 +476,11 @@ class _Julia:
 
     def _new_config(self, config: PCNDEConfig) -> Any:
         """Julia's copy of the settings, as a TOML text of plain numbers and words."""
+        if config.flow.terms:
+            raise EngineUnavailableError(
+                "Physics terms beside the flow's network are computed by the JAX engine only; use "
+                "engine='jax'."
+            )
         lines = [
             f"{group}.{name} = {json.dumps(value)}"
             for group, settings in config.to_dict().items()
@@ -606,6 +612,22 @@ class JuliaStage(Generic[InputsT]):
         )
         return float(loss), gradient
 
+    def losses(
+        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+    ) -> Array:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        result: Array = self._julia.call(
+            "losses",
+            self._name,
+            parameters,
+            _arrays(inputs),
+            target,
+            grid.z,
+            float(grid.period),
+            config,
+        )
+        return result
+
     def objective(
         self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
     ) -> Objective:
@@ -679,6 +701,9 @@ class JuliaEngine:
         )
         self.spatial_pressure: JuliaStage[SpatialPressureInputs] = JuliaStage(
             self._julia, "spatial_pressure"
+        )
+        self.temporal_flow: JuliaStage[TemporalFlowInputs] = JuliaStage(
+            self._julia, "temporal_flow"
         )
 
     def predict(

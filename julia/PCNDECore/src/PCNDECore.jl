@@ -13,6 +13,9 @@ Five stages, each of which can be solved, judged and fitted:
 | pressure from a network, at each instant | `temporal_pressure.jl` |
 | constant–tanh–constant pressure in z     | `spatial_pressure.jl`  |
 
+and the momentum equation in time, which a study compares with the one in z, in
+`temporal_flow.jl`.
+
 Every array is float64 with the indices (z, time, case), in CGS units; every
 stage's parameters are one flat vector. `predict.jl` runs all stages of a trained model,
 `bridge.jl` holds what Python calls.
@@ -42,6 +45,7 @@ include("over_cases.jl")
 include("flow_gradient_room.jl")
 include("flow.jl")
 include("flow_gradient.jl")
+include("temporal_flow.jl")
 include("slope.jl")
 include("linear_area.jl")
 include("intermediate_area.jl")

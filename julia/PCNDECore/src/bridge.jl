@@ -40,8 +40,8 @@ A stage's result for every case on its own, (z, time, case).
 
 # Arguments
 
-  - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"` or
-    `"spatial_pressure"`.
+  - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"`,
+    `"spatial_pressure"` or `"temporal_flow"`.
   - `θ`: parameters, flat vector.
   - `inputs`: the stage's arrays, in the order of the Python package's `engines.base`.
   - `z`, `period`: points, cm, and length of the cycle, s.
@@ -54,6 +54,8 @@ function solve(stage::String, θ, inputs, z, period, config::Config)
         return solve_intermediate_area(θ, inputs..., period, z, config.intermediate_area)
     elseif stage == "temporal_pressure"
         return solve_temporal_pressure(θ, inputs..., config.physics, config.temporal_pressure)
+    elseif stage == "temporal_flow"
+        return solve_temporal_flow(θ, inputs..., period, config.temporal_flow)
     end
     no_target = zero(first(inputs))
     return solve(problem(stage, inputs, no_target, z, period, config), θ)
@@ -70,6 +72,17 @@ function loss_and_gradient(stage::String, θ, inputs, target, z, period, config:
     gradient = similar(θ)
     loss = value_and_gradient!(gradient, objective, θ)
     return loss, gradient
+end
+
+"""
+    losses(stage, Θ, inputs, target, z, period, config)
+
+Loss of each of the parameter vectors in the columns of `Θ`, `Inf` where the equation
+cannot be integrated; the other arguments are those of [`loss_and_gradient`](@ref).
+"""
+function losses(stage::String, Θ, inputs, target, z, period, config::Config)
+    objective = problem(stage, inputs, target, z, period, config)
+    return [value!(objective, Θ[:, k]) for k in axes(Θ, 2)]
 end
 
 """
@@ -101,6 +114,8 @@ function problem(stage, inputs, target, z, period, config::Config)
         return TemporalPressure(inputs..., target, config.physics, config.temporal_pressure)
     elseif stage == "spatial_pressure"
         return SpatialPressure(inputs..., target, z, config.physics, config.spatial_pressure)
+    elseif stage == "temporal_flow"
+        return TemporalFlow(inputs..., target, period, config.temporal_flow)
     end
     throw(ArgumentError("there is no stage \"$stage\""))
 end

@@ -16,6 +16,7 @@
         ones(2 * n_points),
         fill(0.01, length(Network(chain([4 * n_points, 2, 2, n_points], "tanh")))),
         ones(2 + 2 * n_times),
+        fill(0.01, length(Network(chain([n_points, 2, 2, 2, 2, n_points], "tanh")))),
     )
     inputs = (
         "flow" => (wave, area),
@@ -23,6 +24,7 @@
         "fourier_area" => (flow, area_undeformed),
         "temporal_pressure" => (flow, area, area_undeformed),
         "spatial_pressure" => (flow, flow, area_undeformed),
+        "temporal_flow" => (wave, flow[:, 1, :]),
     )
     @compile_workload begin
         for a in (z, wave, area)
@@ -36,14 +38,17 @@
                 flow.rtol = 0.001
                 temporal_pressure.hidden = [2, 2]
                 temporal_pressure.activation = "$activation"
+                temporal_flow.hidden = [2, 2, 2, 2]
+                temporal_flow.activation = "$activation"
                 """,
             )
             for (θ, (stage, arrays)) in zip(parameters, inputs)
                 solve(stage, θ, arrays, z, 1.0, chosen)
                 loss_and_gradient(stage, θ, arrays, flow, z, 1.0, chosen)
+                losses(stage, reshape(θ, :, 1), arrays, flow, z, 1.0, chosen)
                 fit(stage, θ, arrays, flow, z, 1.0, chosen, 2, (_, _) -> nothing)
             end
-            for θ in (parameters, (parameters[1:3]..., Float64[], Float64[]))
+            for θ in (parameters[1:5], (parameters[1:3]..., Float64[], Float64[]))
                 predict(θ, wave, area_undeformed, z, 1.0, 2, chosen)
             end
         end

@@ -43,6 +43,16 @@ Base.@kwdef struct FlowStage
 end
 
 """
+Momentum equation in time; `steps` from instant to instant.
+"""
+Base.@kwdef struct TemporalFlowStage
+    hidden::Vector{Int} = [8, 8, 8, 8]
+    activation::String = "tanh"
+    time_input::Bool = false
+    steps::Int = 1
+end
+
+"""
 Continuity equation in time; the loss is taken on the last of the `cycles`.
 """
 Base.@kwdef struct IntermediateAreaStage
@@ -87,4 +97,5 @@ Base.@kwdef struct Config
     fourier_area::FourierAreaStage = FourierAreaStage()
     temporal_pressure::TemporalPressureStage = TemporalPressureStage()
     spatial_pressure::SpatialPressureStage = SpatialPressureStage()
+    temporal_flow::TemporalFlowStage = TemporalFlowStage()
 end

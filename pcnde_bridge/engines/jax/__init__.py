@@ -17,11 +17,13 @@ from pcnde_bridge.engines.base import (
     IntermediateAreaInputs,
     Solution,
     SpatialPressureInputs,
+    TemporalFlowInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.jax import area, flow, inference, pressure
+from pcnde_bridge.engines.jax import area, flow, inference, physics_terms, pressure, temporal_flow
 from pcnde_bridge.engines.jax.closures import JaxClosures
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
+from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.precision import double_precision
 
@@ -41,6 +43,8 @@ def _flow(
     parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
 ) -> _Result:
     inflow, s = inputs
+    if config.flow.terms:
+        return physics_terms.solve(parameters, inflow, s, weight, grid, config)
     return flow.solve(parameters, inflow, s, weight, grid[0], config)
 
 
@@ -73,6 +77,13 @@ def _spatial_pressure(
     return pressure.spatial(parameters, mean, q, s_u, grid[0], config), _solved()
 
 
+def _temporal_flow(
+    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
+) -> _Result:
+    inflow, initial_flow = inputs
+    return temporal_flow.solve(parameters, inflow, initial_flow, grid[1], config)
+
+
 class JaxEngine:
     """The five stages in JAX; see :class:`pcnde_bridge.engines.base.Engine`."""
 
@@ -82,7 +93,7 @@ class JaxEngine:
         self.closures = JaxClosures()
         self.flow: JaxStage[FlowInputs] = JaxStage(
             _flow,
-            ("flow",),
+            ("flow", "physics"),
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
             each_on_its_own=lambda config: config.flow.steps is None,
         )
@@ -96,6 +107,9 @@ class JaxEngine:
         self.spatial_pressure: JaxStage[SpatialPressureInputs] = JaxStage(
             _spatial_pressure, ("spatial_pressure", "physics")
         )
+        self.temporal_flow: JaxStage[TemporalFlowInputs] = JaxStage(
+            _temporal_flow, ("temporal_flow",)
+        )
 
     def predict(
         self,
@@ -106,6 +120,8 @@ class JaxEngine:
         config: PCNDEConfig,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.base.Engine`."""
+        if config.flow.terms:
+            return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
         with double_precision():
             vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
             z, period = jnp.asarray(grid.z), jnp.asarray(grid.period)

@@ -26,7 +26,7 @@ from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
 from pcnde_bridge.engines.jax.step_control import PIController
 from pcnde_bridge.parameters import layer_sizes
 
-_CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is repeated
+CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is repeated
 
 
 class FlowNetwork(NamedTuple):
@@ -170,7 +170,7 @@ def solve_hidden(
         jnp.zeros((inflow.shape[0], last.shape[0])),
         saveat=diffrax.SaveAt(ts=z),
         stepsize_controller=PIController(error_norm),
-        adjoint=diffrax.RecursiveCheckpointAdjoint(checkpoints=_CHECKPOINTS),
+        adjoint=diffrax.RecursiveCheckpointAdjoint(checkpoints=CHECKPOINTS),
         max_steps=stage.max_steps,
         throw=False,
     )

@@ -84,6 +84,7 @@ class JaxStage(Generic[InputsT]):
         self._solve = compile_(self._predict)
         self._value = compile_(self._loss)
         self._value_and_gradient = compile_(jax.value_and_grad(self._loss))
+        self._values = compile_(self._losses)
 
     def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
@@ -107,6 +108,22 @@ class JaxStage(Generic[InputsT]):
                 jnp.asarray(parameters), *data, config=self._relevant(config)
             )
             return float(loss), np.array(gradient)
+
+    def losses(
+        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+    ) -> Array:
+        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        with double_precision():
+            data, settings = _fit_data(inputs, target, grid), self._relevant(config)
+            together = max(1, _LARGEST_BATCH // len(data[1]))
+            parts = []
+            for start in range(0, len(parameters), together):
+                part = parameters[start : start + together]
+                # Filled up with the first, so that one shape is compiled.
+                rows = [*part, *[part[0]] * (together - len(part))]
+                values = self._values(jnp.asarray(np.stack(rows)), *data, config=settings)
+                parts.append(np.asarray(values)[: len(part)])
+            return np.concatenate(parts)
 
     def objective(
         self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
@@ -186,6 +203,9 @@ class JaxStage(Generic[InputsT]):
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
         return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
+
+    def _losses(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
+        return jax.vmap(lambda vector: self._loss(vector, *data, config))(parameters)
 
 
 def in_batches(

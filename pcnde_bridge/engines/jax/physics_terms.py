@@ -1,0 +1,97 @@
+"""Momentum equation with physics terms beside the network (section 3.6).
+
+    ∂Q/∂z = f_θ(Q, S) + N/(2(1+δ)) + ½ (Q/S) ∂S/∂z − (S/Q) ∂Q/∂t / (2(1+δ)),
+
+each term on its own option; δ = 1/3 and N = −8πν are those of a parabolic profile.
+The terms are not in the last layer's span, so Q itself is stepped: what
+:mod:`pcnde_bridge.engines.jax.flow` gives without them, at more cost.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.jax.area import flow_slope
+from pcnde_bridge.engines.jax.flow import CHECKPOINTS, take_apart
+from pcnde_bridge.engines.jax.network import ACTIVATIONS
+from pcnde_bridge.engines.jax.step_control import PIController
+
+DELTA = 1 / 3
+"""δ of a parabolic velocity profile."""
+
+
+def solve(
+    parameters: jax.Array,
+    inflow: jax.Array,
+    area: jax.Array,
+    weight: jax.Array,
+    grid: tuple[jax.Array, jax.Array],
+    config: PCNDEConfig,
+) -> tuple[jax.Array, jax.Array]:
+    """Integrate cases with common steps; see :func:`pcnde_bridge.engines.jax.flow.solve`."""
+    z, period = grid
+    stage, n_points = config.flow, z.shape[0]
+    activation = ACTIVATIONS[stage.activation]
+    network = take_apart(parameters, inflow.shape[1], config)
+    on_grid = jnp.einsum("ntz,th->znh", area, network.from_area) + network.first_bias
+    # (z, case, time): S and ∂S/∂z, linear between the points.
+    area_on_grid, slope_on_grid = (jnp.moveaxis(a, 2, 0) for a in (area, flow_slope(area, z)))
+    friction = -8 * jnp.pi * config.physics.viscosity / config.physics.density
+
+    def slope(position: Any, flow: jax.Array, _: None) -> jax.Array:
+        i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
+        share = (position - z[i]) / (z[i + 1] - z[i])
+
+        def here(on_grid: jax.Array) -> Any:
+            return (1 - share) * on_grid[i] + share * on_grid[i + 1]
+
+        values = activation(here(on_grid) + flow @ network.from_flow)
+        for matrix, bias in network.middle:
+            values = activation(values @ matrix + bias)
+        result: jax.Array = values @ network.last + network.last_bias
+        if "friction" in stage.terms:
+            result = result + friction / (2 * (1 + DELTA))
+        if "convection" in stage.terms:
+            result = result + flow / here(area_on_grid) * here(slope_on_grid) / 2
+        if "inertia" in stage.terms:
+            rise = change_in_time(flow, period)
+            result = result - here(area_on_grid) / flow * rise / (2 * (1 + DELTA))
+        return result
+
+    def error_norm(
+        z0: jax.Array, z1: jax.Array, y0: jax.Array, y1: jax.Array, error: jax.Array
+    ) -> jax.Array:
+        scaled = error / (stage.atol + stage.rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1)))
+        mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * inflow.shape[1])
+        return jnp.sqrt(mean)
+
+    equal = stage.steps is not None
+    first_step = (z[1] - z[0]) if stage.first_step is None else stage.first_step
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(slope),
+        diffrax.Tsit5(),
+        z[0],
+        z[-1],
+        (z[-1] - z[0]) / stage.steps if stage.steps is not None else first_step,
+        inflow,
+        saveat=diffrax.SaveAt(ts=z),
+        stepsize_controller=diffrax.ConstantStepSize() if equal else PIController(error_norm),
+        adjoint=diffrax.RecursiveCheckpointAdjoint(checkpoints=CHECKPOINTS),
+        # One more than the steps, for round-off in their sum.
+        max_steps=stage.steps + 1 if stage.steps is not None else stage.max_steps,
+        throw=False,
+    )
+    flow = jnp.transpose(solution.ys, (1, 2, 0))
+    solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(flow), (1, 2))
+    return flow, solved
+
+
+def change_in_time(flow: jax.Array, period: jax.Array) -> jax.Array:
+    """∂Q/∂t, mL/s², by central differences over the cycle, of Q (case, time)."""
+    spacing = period / flow.shape[1]
+    return (jnp.roll(flow, -1, axis=1) - jnp.roll(flow, 1, axis=1)) / (2 * spacing)

@@ -1,0 +1,361 @@
+"""Loss landscapes of the momentum equation with physics terms beside its network.
+
+Section 3.6 of the paper: the network alone, and with one term each of
+
+    ∂Q/∂z = f_θ(Q, S) + N/(2(1+δ)) + ½ (Q/S) ∂S/∂z − (S/Q) ∂Q/∂t / (2(1+δ)),
+
+is trained, and its loss drawn around the parameters θ on a grid θ + α₁v₁ + α₂v₂ along two
+random directions: after the first batch's BFGS iterations, and after the area was fitted and
+coupled back for the first time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge import history as histories
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import PAPER, PCNDEConfig, Term
+from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines.base import Engine, FlowInputs, Grid
+from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.history import Iteration
+from pcnde_bridge.metrics import compared, relative_error
+from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.training import Trainer, TrainingState, plan
+
+Array = npt.NDArray[np.float64]
+Moment = Literal["initial", "coupled"]
+
+RIGHT_HAND_SIDES: Mapping[str, tuple[Term, ...]] = {
+    "network": (),
+    "friction": ("friction",),
+    "convection": ("convection",),
+    "inertia": ("inertia",),
+}
+"""The paper's four: the network alone, and with one term each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """Loss on a grid of two amplitudes.
+
+    Attributes
+    ----------
+    right_hand_side : str
+        Name of the equation.
+    moment : {'initial', 'coupled'}
+        After the first batch's iterations, or after the first coupling of the area.
+    amplitudes : array of shape (n,)
+        α₁ and α₂; the one in the middle is 0.
+    losses : array of shape (n, n)
+        Loss at (α₁, α₂), mL²/s² in the mean; infinite where the equation diverges.
+    area_error : float
+        Relative error of the area that the network sees.
+    """
+
+    right_hand_side: str
+    moment: Moment
+    amplitudes: Array
+    losses: Array
+    area_error: float
+
+    @property
+    def diverged(self) -> npt.NDArray[np.bool_]:
+        """Where the equation could not be integrated."""
+        return ~np.isfinite(self.losses)
+
+    @property
+    def centre(self) -> float:
+        """Loss of the parameters themselves."""
+        middle = len(self.amplitudes) // 2
+        return float(self.losses[middle, middle])
+
+    @property
+    def minima(self) -> int:
+        """Number of grid points inside that are lower than all eight around them."""
+        padded = np.where(self.diverged, np.inf, self.losses)
+        inside = padded[1:-1, 1:-1]
+        n = len(padded)
+        around = [
+            padded[1 + i : n - 1 + i, 1 + j : n - 1 + j]
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+            if (i, j) != (0, 0)
+        ]
+        return int((np.isfinite(inside) & (inside < np.min(around, axis=0))).sum())
+
+    @property
+    def roughness(self) -> float:
+        """Part of the variation of log L that a cubic in (α₁, α₂) leaves, where L is finite.
+
+        1 − R² of the least-squares fit: 0 is a smooth surface; NaN with too few points.
+        """
+        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
+        scale = np.abs(self.amplitudes).max()
+        finite = ~self.diverged & (self.losses > 0)
+        values = np.log(self.losses[finite])
+        powers = [(i, j) for i in range(4) for j in range(4 - i)]
+        if finite.sum() <= 2 * len(powers) or values.std() == 0:
+            return float("nan")
+        x, y = first[finite] / scale, second[finite] / scale
+        matrix = np.stack([x**i * y**j for i, j in powers], axis=1)
+        left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
+        return float((left @ left) / ((values - values.mean()) ** 2).sum())
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each point: equation, moment, two amplitudes, loss, whether diverged."""
+        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
+        return pd.DataFrame(
+            {
+                "right_hand_side": self.right_hand_side,
+                "moment": self.moment,
+                "amplitude_1": first.ravel(),
+                "amplitude_2": second.ravel(),
+                "loss": self.losses.ravel(),
+                "diverged": self.diverged.ravel(),
+            }
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LandscapeStudy:
+    """Landscapes of several right-hand sides, and what became of their training.
+
+    Attributes
+    ----------
+    landscapes : tuple of Landscape
+        Two for each right-hand side, or one where training diverged before the coupling.
+    outcomes : mapping of str to str
+        For each right-hand side ``"trained"``, or where it diverged.
+    history : DataFrame
+        Every iteration of training, with a column ``right_hand_side``.
+    """
+
+    landscapes: tuple[Landscape, ...]
+    outcomes: Mapping[str, str]
+    history: pd.DataFrame
+
+    def landscape(self, right_hand_side: str, moment: Moment) -> Landscape | None:
+        """Return one of them; None where training did not come so far."""
+        for landscape in self.landscapes:
+            if (landscape.right_hand_side, landscape.moment) == (right_hand_side, moment):
+                return landscape
+        return None
+
+    def to_frame(self) -> pd.DataFrame:
+        """All points of all landscapes; see :meth:`Landscape.to_frame`."""
+        return pd.concat([each.to_frame() for each in self.landscapes], ignore_index=True)
+
+    def summary(self) -> pd.DataFrame:
+        """One row for each landscape: losses, minima, roughness, share diverged, outcome."""
+        rows = []
+        for each in self.landscapes:
+            finite = each.losses[~each.diverged]
+            rows.append(
+                {
+                    "right_hand_side": each.right_hand_side,
+                    "moment": each.moment,
+                    "centre": each.centre,
+                    "lowest": finite.min() if finite.size else np.inf,
+                    "median": float(np.median(each.losses)),
+                    "highest": finite.max() if finite.size else np.inf,
+                    "minima": each.minima,
+                    "roughness": each.roughness,
+                    "diverged": float(each.diverged.mean()),
+                    "area_error": each.area_error,
+                    "outcome": self.outcomes[each.right_hand_side],
+                }
+            )
+        return pd.DataFrame(rows)
+
+
+def random_directions(size: int, seed: int) -> Array:
+    """Two directions v₁ and v₂, (2, size), of independent standard normal numbers."""
+    return np.random.default_rng(seed).standard_normal((2, size))
+
+
+def loss_landscape(
+    engine: Engine,
+    parameters: Array,
+    inputs: FlowInputs,
+    target: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+    *,
+    amplitude: float = 0.1,
+    points: int = 21,
+    seed: int = 0,
+) -> Array:
+    """Loss of the flow stage on a grid around its parameters.
+
+    Parameters
+    ----------
+    engine : Engine
+        Computes all points at once.
+    parameters : array of shape (size,)
+        θ, in the middle.
+    inputs, target, grid, config
+        Of the flow stage; see :class:`pcnde_bridge.engines.base.Stage`.
+    amplitude : float
+        Largest |α₁| and |α₂|.
+    points : int
+        In each direction; odd, so that θ is one of them.
+    seed : int
+        Of the directions.
+
+    Returns
+    -------
+    array of shape (points, points)
+        Loss at θ + α₁v₁ + α₂v₂, infinite where the equation diverges.
+
+    Raises
+    ------
+    InputError
+        If ``points`` is even or less than 3, or ``amplitude`` not positive.
+    """
+    first, second = random_directions(parameters.size, seed)
+    along = amplitudes(amplitude, points)
+    vectors = parameters + (along[:, None, None] * first + along[None, :, None] * second).reshape(
+        -1, parameters.size
+    )
+    losses = engine.flow.losses(vectors, inputs, target, grid, config)
+    return np.where(np.isfinite(losses), losses, np.inf).reshape(points, points)
+
+
+def amplitudes(largest: float, points: int) -> Array:
+    """Amplitudes from −largest to largest, 0 exactly in the middle."""
+    if not isinstance(points, int) or points < 3 or points % 2 == 0:
+        raise InputError(f"points must be an odd number from 3 on, got {points!r}.")
+    if not largest > 0:
+        raise InputError(f"amplitude must be positive, got {largest!r}.")
+    half = points // 2
+    return largest * np.arange(-half, half + 1) / half
+
+
+def explore_landscapes(
+    cases: Cases,
+    right_hand_sides: Mapping[str, tuple[Term, ...]] = RIGHT_HAND_SIDES,
+    config: PCNDEConfig = PAPER,
+    engine: EngineName | Engine = "jax",
+    *,
+    amplitude: float = 0.1,
+    points: int = 21,
+    seed: int = 0,
+    progress: bool | Callable[[Iteration], None] = True,
+) -> LandscapeStudy:
+    """Train with each right-hand side, and draw its loss before and after the coupling.
+
+    Training is that of :meth:`pcnde_bridge.PCNDE.fit` without the pressure, for all
+    ``config.flow.epochs``; where an equation diverges it ends, and ``outcomes`` says so.
+    The loss is that of the first batch, on which the first iterations are made.
+
+    Parameters
+    ----------
+    cases : Cases
+        Training cases.
+    right_hand_sides : mapping of str to tuple of str
+        Names, and ``config.flow.terms`` of each.
+    config : PCNDEConfig
+        Everything else.
+    engine : {'jax', 'auto', 'julia'} or Engine
+        Who computes; only JAX knows physics terms.
+    amplitude, points : float and int
+        Grid of each landscape; see :func:`loss_landscape`.
+    seed : int
+        Of the first parameters, the batches, and the directions.
+    progress : bool or callable
+        Show progress, or call with every :class:`~pcnde_bridge.history.Iteration`.
+
+    Returns
+    -------
+    LandscapeStudy
+        Divergence is a result: infinite losses and outcomes, no exception.
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+    """
+    amplitudes(amplitude, points)
+    if config.training != "batches":
+        raise InputError("The landscapes are those of training='batches'; change the config.")
+    chosen = select_engine(engine)
+    grid = Grid(cases.time, cases.z, cases.period)
+    landscapes: list[Landscape] = []
+    outcomes: dict[str, str] = {}
+    frames: list[pd.DataFrame] = []
+    start = TrainingState.start(cases, config, seed)
+    units = [u for u in plan(config, len(start.batches)) if not u.work.endswith("pressure")]
+    of_flow = len(start.batches) * config.flow.epochs * config.flow.iterations
+    batch = start.batches[0]
+    bar = TrainingProgress(of_flow * len(right_hand_sides)) if progress is True else None
+
+    with bar if bar is not None else nullcontext():
+        for name, terms in right_hand_sides.items():
+            settings = config.replace(flow={"terms": terms})
+            records: list[Iteration] = []
+
+            def keep(record: Iteration, records: list[Iteration] = records) -> None:
+                records.append(record)
+                if bar is not None and record.stage == "flow":
+                    bar(record)
+                elif callable(progress):
+                    progress(record)
+
+            trainer = Trainer(cases, settings, chosen, on_record=keep)
+
+            def draw(
+                state: TrainingState,
+                moment: Moment,
+                name: str = name,
+                trainer: Trainer = trainer,
+                settings: PCNDEConfig = settings,
+            ) -> None:
+                area = trainer.coupled_area(state)
+                losses = loss_landscape(
+                    chosen,
+                    state.parameters.flow,
+                    FlowInputs(cases.inflow[batch], area[batch]),
+                    cases.flow[batch],
+                    grid,
+                    settings,
+                    amplitude=amplitude,
+                    points=points,
+                    seed=seed,
+                )
+                error = relative_error(compared("area", area), compared("area", cases.area))
+                along = amplitudes(amplitude, points)
+                landscapes.append(Landscape(name, moment, along, losses, error))
+
+            state = start
+            try:
+                try:
+                    state = trainer.run(state, until=1)
+                finally:
+                    # Of the first parameters, where the first fit cannot start.
+                    draw(state, "initial")
+                state = trainer.run(state, until=1 + [u.work for u in units].index("coupling"))
+                draw(state, "coupled")
+                trainer.run(state, until=len(units))
+                outcomes[name] = "trained"
+            except SolveError:
+                outcomes[name] = _where(records)
+            frames.append(histories.to_frame(records).assign(right_hand_side=name))
+    return LandscapeStudy(tuple(landscapes), outcomes, pd.concat(frames, ignore_index=True))
+
+
+def _where(records: list[Iteration]) -> str:
+    """Say where training diverged, from the iterations before."""
+    if not records:
+        return "diverged at the first parameters"
+    last = records[-1]
+    stage = last.stage.replace("_", " ")
+    return f"diverged after {stage}, epoch {last.epoch}, batch {last.batch}"

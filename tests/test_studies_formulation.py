@@ -1,0 +1,275 @@
+"""The studies of sections 3.1 and 3.6: formulations side by side, and loss landscapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pcnde_bridge.config import FAST, PAPER
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.base import FlowInputs, Grid
+from pcnde_bridge.engines.julia import julia_status
+from pcnde_bridge.errors import EngineUnavailableError, InputError
+from pcnde_bridge.inference import undeformed
+from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.studies import compare_formulations, explore_landscapes, figures
+from pcnde_bridge.studies.formulations import variation
+from pcnde_bridge.studies.landscapes import Landscape, amplitudes, loss_landscape
+
+_STATUS = julia_status()
+TERMS = ("friction", "convection", "inertia")
+# One short training for all tests: two epochs in two batches, coupled once.
+CONFIG = PAPER.replace(
+    batch_size=6,
+    flow={"epochs": 2, "couple_every": 1, "iterations": 2, "steps": 20, "hidden": (4,)},
+    temporal_flow={"epochs": 2, "iterations": 2, "hidden": (4,)},
+    intermediate_area={"iterations": 2},
+    fourier_area={"iterations": 2},
+)
+
+
+@pytest.fixture(scope="module")
+def engine():
+    return select_engine("jax")
+
+
+@pytest.fixture(scope="module")
+def study(small_cases):
+    return explore_landscapes(
+        small_cases,
+        {"network": (), "inertia": ("inertia",)},
+        CONFIG,
+        points=5,
+        seed=3,
+        progress=False,
+    )
+
+
+def flow_problem(cases):
+    area = undeformed(cases.area_undeformed, cases.n_times)
+    return FlowInputs(cases.inflow, area), Grid(cases.time, cases.z, cases.period)
+
+
+def test_terms_are_those_of_the_momentum_equation(engine, small_cases):
+    """All three, against the equation itself, one interval at a time."""
+    case = small_cases.select([1])
+    inputs, grid = flow_problem(case)
+    config = PAPER.replace(flow={"terms": TERMS, "steps": 80, "hidden": (4,)})
+    vector = initial_parameters(config, case.n_times, case.n_points, 0).flow
+    network = vector[: 40 * 4].reshape(4, 40, order="F"), vector[40 * 4 + 4 : -20]
+    bias = vector[40 * 4 : 40 * 4 + 4]
+    s, ds = (
+        case.area_undeformed[0],
+        np.gradient(case.area_undeformed[0], case.z, edge_order=2),
+    )
+    nu, dt = 0.04 / 1.06, case.period / case.n_times
+
+    def right_hand_side(z, q):
+        here, slope = np.interp(z, case.z, s), np.interp(z, case.z, ds)
+        hidden = np.tanh(network[0] @ np.append(q, np.full(20, here)) + bias)
+        f = network[1].reshape(20, 4, order="F") @ hidden
+        rise = (np.roll(q, -1) - np.roll(q, 1)) / (2 * dt)
+        return f - 3 * np.pi * nu + q / here * slope / 2 - here / q * rise * 3 / 8
+
+    expected = case.inflow[0][:, None] + 0 * case.z
+    for i in range(case.n_points - 1):
+        span = case.z[i : i + 2]
+        found = solve_ivp(right_hand_side, span, expected[:, i], rtol=1e-10, atol=1e-12)
+        expected[:, i + 1] = found.y[:, -1]
+    found = engine.flow.solve(vector, inputs, grid, config)[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    adaptive = config.replace(flow={"steps": None, "rtol": 1e-8, "atol": 1e-10, "max_steps": 4096})
+    np.testing.assert_allclose(
+        engine.flow.solve(vector, inputs, grid, adaptive)[0], expected, rtol=1e-5
+    )
+
+
+def test_gradient_with_all_terms_agrees_with_finite_differences(engine, small_cases):
+    cases = small_cases.select([1, 5])
+    inputs, grid = flow_problem(cases)
+    config = PAPER.replace(flow={"terms": TERMS, "steps": 40, "hidden": (4,)})
+    vector = initial_parameters(config, cases.n_times, cases.n_points, 0).flow
+
+    def loss_and_gradient(x):
+        return engine.flow.loss_and_gradient(x, inputs, cases.flow, grid, config)
+
+    _, gradient = loss_and_gradient(vector)
+    direction = np.random.default_rng(0).normal(size=vector.size)
+    h = 1e-5
+    finite = (
+        loss_and_gradient(vector + h * direction)[0] - loss_and_gradient(vector - h * direction)[0]
+    ) / (2 * h)
+    assert finite == pytest.approx(gradient @ direction, rel=1e-6)
+
+
+def test_centre_is_the_loss_of_the_parameters(engine, small_cases):
+    inputs, grid = flow_problem(small_cases)
+    vector = initial_parameters(CONFIG, small_cases.n_times, small_cases.n_points, 1).flow
+    args = (inputs, small_cases.flow, grid, CONFIG)
+    loss, gradient = engine.flow.loss_and_gradient(vector, *args)
+    losses = loss_landscape(engine, vector, *args, points=3, amplitude=1e-6, seed=7)
+    assert losses.shape == (3, 3)
+    assert losses[1, 1] == pytest.approx(loss, rel=1e-12)
+    # The first amplitude goes with the first direction.
+    first, second = np.random.default_rng(7).standard_normal((2, vector.size))
+    slopes = (losses[2, 1] - losses[0, 1]) / 2e-6, (losses[1, 2] - losses[1, 0]) / 2e-6
+    assert slopes == pytest.approx((gradient @ first, gradient @ second), rel=1e-5)
+
+
+def test_directions_are_those_of_the_seed(engine, small_cases):
+    inputs, grid = flow_problem(small_cases.select([0]))
+    vector = initial_parameters(CONFIG, small_cases.n_times, small_cases.n_points, 1).flow
+    target = small_cases.flow[:1]
+    first, same, other = (
+        loss_landscape(engine, vector, inputs, target, grid, CONFIG, points=3, seed=seed)
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, same)
+    assert not np.allclose(first[0], other[0])
+
+
+def test_study_draws_each_equation_twice(study):
+    assert [(each.right_hand_side, each.moment) for each in study.landscapes][:2] == [
+        ("network", "initial"),
+        ("network", "coupled"),
+    ]
+    assert study.outcomes["network"] == "trained"
+    initial = study.landscape("network", "initial")
+    # After the first batch's iterations.
+    first_batch = study.history.query(
+        "right_hand_side == 'network' and stage == 'flow' and epoch == 1 and batch == 1"
+    )
+    assert initial.centre == pytest.approx(first_batch["loss"].iloc[-1], rel=1e-9)
+    frame = study.to_frame()
+    assert len(frame) == 25 * len(study.landscapes)
+    assert (frame.query("amplitude_1 == 0 and amplitude_2 == 0").groupby("moment").size() > 0).all()
+    np.testing.assert_array_equal(frame["loss"][:25], initial.losses.ravel())
+    assert study.landscape("network", "coupled").area_error < initial.area_error
+    assert len(study.summary()) == len(study.landscapes)
+
+
+def test_divergence_is_recorded(small_cases):
+    """A step of the adaptive solver is too few, wherever the network goes."""
+    config = CONFIG.replace(flow={"steps": None, "max_steps": 2})
+    seen = []
+    study = explore_landscapes(
+        small_cases, {"friction": ("friction",)}, config, points=3, progress=seen.append
+    )
+    (landscape,) = study.landscapes
+    assert landscape.diverged.all()
+    assert np.isinf(landscape.centre)
+    assert study.outcomes == {"friction": "diverged at the first parameters"}
+    assert study.to_frame()["diverged"].all()
+    assert study.landscape("friction", "coupled") is None
+    assert seen == []
+    assert len(figures.landscapes(study).axes) == 2
+
+
+def test_minima_and_roughness():
+    along = amplitudes(0.1, 11)
+    x, y = np.meshgrid(along, along, indexing="ij")
+    bowl = Landscape("a", "initial", along, np.exp(x**2 + 2 * y**2), 0.0)
+    assert (bowl.minima, bowl.centre) == (1, 1.0)
+    assert bowl.roughness < 1e-12
+    noise = np.random.default_rng(0).uniform(1, 2, (11, 11))
+    noise[3, 3] = np.inf
+    rough = Landscape("a", "initial", along, noise, 0.0)
+    assert rough.minima > 3
+    assert rough.roughness > 0.5
+    assert rough.diverged.sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [({"points": 4}, "odd"), ({"amplitude": 0.0}, "positive"), ({"config": FAST}, "batches")],
+)
+def test_what_cannot_be_drawn_is_said(small_cases, changes, words):
+    with pytest.raises(InputError, match=words):
+        explore_landscapes(small_cases, **{"config": CONFIG, "progress": False, **changes})
+
+
+@pytest.mark.julia
+@pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}")
+def test_julia_draws_the_network_alone_and_declines_the_terms(small_cases):
+    engine = select_engine("julia")
+    inputs, grid = flow_problem(small_cases)
+    vector = initial_parameters(CONFIG, small_cases.n_times, small_cases.n_points, 1).flow
+    args = (vector, inputs, small_cases.flow, grid)
+    by_julia, by_jax = (
+        loss_landscape(e, *args, CONFIG, points=3) for e in (engine, select_engine("jax"))
+    )
+    np.testing.assert_allclose(by_julia, by_jax, rtol=1e-10)
+    with pytest.raises(EngineUnavailableError, match="jax"):
+        engine.flow.solve(vector, inputs, grid, CONFIG.replace(flow={"terms": ("friction",)}))
+
+
+@pytest.fixture(scope="module")
+def formulations(small_cases):
+    seen = []
+    found = compare_formulations(
+        small_cases,
+        small_cases.select([0, 7]),
+        config=CONFIG,
+        engine="jax",
+        progress=seen.append,
+    )
+    # Two batches, two epochs, two iterations each.
+    assert len(seen) == 3 * 8 == len(found.history)
+    return found
+
+
+def test_formulations_side_by_side(formulations, small_cases):
+    frame = formulations.to_frame().set_index(["formulation", "set"])
+    assert len(frame) == 4 * 2
+    truth = frame.loc[("3D", "train")]
+    assert truth["flow_error"] == truth["slope_error"] == 0
+    assert truth["slope_variation"] == 1
+    spatial = formulations.results["spatial", "train"]
+    np.testing.assert_array_equal(spatial.flow[:, :, 0], small_cases.inflow)
+    for name in ("temporal", "temporal_with_time"):
+        found = formulations.results[name, "test"]
+        np.testing.assert_array_equal(found.flow[:, :, 0], small_cases.inflow[[0, 7]])
+        np.testing.assert_array_equal(found.flow[:, 0], small_cases.flow[[0, 7], 0])
+        assert formulations.outcomes[name] == "trained"
+    sizes = [
+        formulations.history.query("formulation == @name")["loss"].to_numpy()[[0, -1]]
+        for name in ("spatial", "temporal", "temporal_with_time")
+    ]
+    assert all(last < first for first, last in sizes)
+
+
+def test_continuity_is_solved_after_the_flow(formulations, small_cases):
+    found = formulations.results["temporal", "train"]
+    slope = np.gradient(found.flow, small_cases.z, axis=2, edge_order=2)
+    cycle = np.concatenate([slope] * 3, axis=1)
+    rise = (cycle[:, 1:] + cycle[:, :-1]) / 2 / small_cases.n_times
+    area = small_cases.area_undeformed[:, None] - np.cumsum(rise, axis=1)
+    np.testing.assert_allclose(found.continuity_area, area[:, -20:], rtol=1e-9)
+
+
+def test_variation_is_total_variation_along_z():
+    z = np.linspace(0, 1, 11)
+    assert variation(np.broadcast_to(z, (2, 3, 11))) == pytest.approx(1)
+    assert variation(np.broadcast_to(np.abs(z - 0.5), (2, 3, 11))) == pytest.approx(1)
+    assert variation(np.ones((2, 3, 11))) == 0
+
+
+def test_formulations_need_known_names(small_cases):
+    with pytest.raises(InputError, match="tempral"):
+        compare_formulations(small_cases, formulations=("tempral",), engine="jax")
+
+
+def test_figures_show_what_the_studies_hold(study, formulations):
+    figure = figures.smoothness(formulations, "test", case=1)
+    assert len(figure.axes) == 6
+    lines = figure.axes[1].get_lines()
+    assert len(lines) == 4
+    peak = formulations.cases["test"].inflow[1].argmax()
+    np.testing.assert_array_equal(
+        lines[1].get_ydata(), formulations.results["spatial", "test"].slope[1, peak]
+    )
+    with pytest.raises(InputError, match="no case"):
+        figures.smoothness(formulations, "test", case=2)
+    mesh = figures.landscapes(study).axes[0].collections[0]
+    np.testing.assert_array_equal(mesh.get_array(), study.landscape("network", "initial").losses.T)
