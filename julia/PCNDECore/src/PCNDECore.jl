@@ -15,10 +15,11 @@ Five stages, each of which can be solved, judged and fitted:
 
 Every array is float64 with the indices (z, time, case), in CGS units; every
 stage's parameters are one flat vector. `predict.jl` runs all stages of a trained model,
-`bridge.jl` holds what Python calls.
+`bridge.jl` holds what Python calls. The preset `physics` has its equations in `closures/`.
 """
 module PCNDECore
 
+using ForwardDiff: ForwardDiff, Dual
 using LinearAlgebra: LinearAlgebra, Adjoint, axpy!, dot, mul!, norm, rmul!
 using LineSearches: BackTracking, LineSearchException
 using Lux: Lux, Chain, Dense
@@ -52,6 +53,12 @@ include("spatial_pressure.jl")
 include("predict.jl")
 include("inverse_hessian.jl")
 include("fit.jl")
+include("closures/quadrature.jl")
+include("closures/wall.jl")
+include("closures/losses.jl")
+include("closures/correction.jl")
+include("closures/coupling.jl")
+include("closures/closures.jl")
 include("bridge.jl")
 include("precompile.jl")
 

@@ -7,14 +7,22 @@
 Settings from a TOML text with one table per group; names that Julia does not need are
 left out, and what is not given keeps its default.
 """
-function config(toml::String)
+config(toml::String) = config(Config(), toml)
+
+"""
+    closure_config(toml)
+
+[`config`](@ref) of the preset `physics`.
+"""
+closure_config(toml::String) = config(ClosureConfig(), toml)
+
+function config(default::T, toml::String) where {T}
     given = TOML.parse(toml)
-    default = Config()
     groups = Any[
         settings(getfield(default, name), get(given, string(name), Dict{String, Any}()))
-        for name in fieldnames(Config)
+        for name in fieldnames(T)
     ]
-    return Config(groups...)
+    return T(groups...)
 end
 
 function settings(default::T, given::Dict{String, Any}) where {T}
@@ -103,6 +111,34 @@ function problem(stage, inputs, target, z, period, config::Config)
         return SpatialPressure(inputs..., target, z, config.physics, config.spatial_pressure)
     end
     throw(ArgumentError("there is no stage \"$stage\""))
+end
+
+"""
+    closure(name, θ, inputs, z, period, config)
+
+`(value, jacobian)` of a closure of the preset `physics` by its parameters `θ`, (z, time,
+case) and (parameter, z, time, case).
+
+# Arguments
+
+  - `name`: `"losses"`, `"area"` or `"flow"`.
+  - `inputs`: arrays in the order of the Python package's `engines.closures`; the points'
+    positions count from 0.
+  - `z`, `period`: points, cm, and length of the cycle, s.
+  - `config`: a [`ClosureConfig`](@ref).
+"""
+function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
+    if name == "losses"
+        return value_and_jacobian(LossesClosure(inputs..., z, period, config), θ)
+    elseif name == "area"
+        return value_and_jacobian(AreaClosure(inputs..., z, config), θ)
+    elseif name == "flow"
+        others..., points = inputs
+        return value_and_jacobian(
+            FlowClosure(others..., Int.(points) .+ 1, z, period, config), θ,
+        )
+    end
+    throw(ArgumentError("there is no closure \"$name\""))
 end
 
 """
