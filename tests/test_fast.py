@@ -157,7 +157,7 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
     start = initial_parameters(config, 20, 21, 0).temporal_pressure
     losses = []
     vector = fast.fit_temporal_pressure(
-        start, inputs, target, everything, config, lambda _, loss: losses.append(loss)
+        start, inputs, target, everything, engine, config, lambda _, loss: losses.append(loss)
     )
     stage = engine.temporal_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
@@ -179,7 +179,7 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     start = initial_parameters(config, 20, 21, 0).spatial_pressure
     losses = []
     vector = fast.fit_spatial_pressure(
-        start, inputs, target, grid, config, lambda _, loss: losses.append(loss)
+        start, inputs, target, engine, grid, config, lambda _, loss: losses.append(loss)
     )
     stage = engine.spatial_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)

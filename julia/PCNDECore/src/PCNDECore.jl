@@ -21,11 +21,11 @@ module PCNDECore
 
 using ForwardDiff: ForwardDiff, Dual
 using LinearAlgebra: LinearAlgebra, Adjoint, axpy!, dot, mul!, norm, rmul!
-using LineSearches: BackTracking, LineSearchException
+using LineSearches: BackTracking, LineSearchException, MoreThuente
 using Lux: Lux, Chain, Dense
 using NLSolversBase: NLSolversBase, OnceDifferentiable
 using NNlib: NNlib
-using Optim: Optim, BFGS
+using Optim: Optim, BFGS, LBFGS
 using OrdinaryDiffEqCore: OrdinaryDiffEqCore
 using OrdinaryDiffEqTsit5: Tsit5
 using PrecompileTools: @compile_workload, @setup_workload
@@ -53,6 +53,7 @@ include("spatial_pressure.jl")
 include("predict.jl")
 include("inverse_hessian.jl")
 include("fit.jl")
+include("lbfgs.jl")
 include("closures/quadrature.jl")
 include("closures/wall.jl")
 include("closures/losses.jl")

@@ -74,7 +74,29 @@ end
 [`solve`](@ref).
 """
 function loss_and_gradient(stage::String, θ, inputs, target, z, period, config::Config)
-    objective = problem(stage, inputs, target, z, period, config)
+    return loss_and_gradient(problem(stage, inputs, target, z, period, config), θ)
+end
+
+# The problem that Python evaluates again and again.
+const HELD = Ref{Any}()
+
+"""
+    hold(stage, inputs, target, z, period, config)
+
+Keep the problem of [`loss_and_gradient`](@ref) for [`held_loss_and_gradient`](@ref), in
+place of the one before.
+"""
+hold(stage::String, inputs, target, z, period, config::Config) =
+    (HELD[] = problem(stage, inputs, target, z, period, config); nothing)
+
+"""
+    held_loss_and_gradient(θ)
+
+[`loss_and_gradient`](@ref) of the problem that is held.
+"""
+held_loss_and_gradient(θ) = loss_and_gradient(HELD[], θ)
+
+function loss_and_gradient(objective::Objective, θ)
     gradient = similar(θ)
     loss = value_and_gradient!(gradient, objective, θ)
     return loss, gradient

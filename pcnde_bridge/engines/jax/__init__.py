@@ -22,6 +22,7 @@ from pcnde_bridge.engines.base import (
 from pcnde_bridge.engines.jax import area, flow, inference, pressure
 from pcnde_bridge.engines.jax.closures import JaxClosures
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
+from pcnde_bridge.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.precision import double_precision
 
@@ -77,6 +78,7 @@ class JaxEngine:
     """The five stages in JAX; see :class:`pcnde_bridge.engines.base.Engine`."""
 
     name = "jax"
+    lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self) -> None:
         self.closures = JaxClosures()

@@ -101,33 +101,39 @@ function couple(
     z_outlet = impedance(outlet, harmonics.omega)
     kappa = storage_factor(correction)
     q_hat = spectrum(harmonics, inflow)
-    q = signals(harmonics, q_hat, turned .* q_hat, turned .^ 2 .* q_hat)
+    q = signals(harmonics, [q_hat, turned .* q_hat, turned .^ 2 .* q_hat])
 
     offset = outlet[4] - wall[end]
     mean_pressure = real(z_outlet[1]) * sum(inflow) / length(inflow) + offset
     volume = copy(vessel.volume)
     volume[:, 3:end] .+= mean_pressure .* vessel.volume_slope
-    total = ntuple(i -> volume[end, i], Val(2 + N_MODES))
+    total = volume[end, :]
     solve = 1 ./ (1 .+ kappa .* total[1] .* turned .* z_outlet)
 
     passive = solve .* q_hat
-    response = signals(harmonics, turned .* z_outlet .* passive, passive)
+    response = signals(harmonics, [turned .* z_outlet .* passive, passive])
     g = hidden_share(correction, response[1, :], response[2, :], shift, settings.hidden)
 
-    # d, its two rates, P without its constant part, ∂P/∂t.
-    function outlet_signals(y_hat)
+    pressure = Vector{T}(undef, length(inflow))
+    modes = Matrix{T}(undef, N_MODES, length(inflow))
+    rates = Matrix{T}(undef, 2 + N_MODES, length(inflow))
+    function after_outlet!(y_hat)
         stored, p_hat = q_hat .- y_hat, z_outlet .* y_hat
         stored_rate = turned .* stored
-        return signals(
-            harmonics, stored, stored_rate, turned .* stored_rate, p_hat, turned .* p_hat,
-        )
+        spectra = [stored, stored_rate, turned .* stored_rate, p_hat, turned .* p_hat]
+        state!(pressure, modes, rates, q, signals(harmonics, spectra), offset)
+        return nothing
     end
     function one_pass(y_hat)
-        at_outlet = outlet_signals(y_hat)
-        unseen = map(eachindex(inflow)) do t
-            rates = state(q, at_outlet, offset, t)[3]
-            rest = sum(Base.tail(total) .* Base.tail(rates))
-            rest - g[t] * (total[1] * rates[1] + rest)
+        after_outlet!(y_hat)
+        unseen = similar(pressure)
+        for t in eachindex(unseen)
+            first = total[1] * rates[1, t]
+            rest = zero(first)
+            for k in 2:length(total)
+                rest += total[k] * rates[k, t]
+            end
+            unseen[t] = rest - g[t] * (first + rest)
         end
         return solve .* (q_hat .- kappa .* spectrum(harmonics, unseen))
     end
@@ -136,29 +142,28 @@ function couple(
     for _ in 2:settings.passes
         before, now = now, one_pass(now)
     end
-    change = maximum(abs, signals(harmonics, now .- before))
-    at_outlet = outlet_signals(now)
-    pressure = Vector{T}(undef, length(inflow))
-    modes = Matrix{T}(undef, N_MODES, length(inflow))
-    storage = Matrix{T}(undef, 2 + N_MODES, length(inflow))
-    for t in eachindex(inflow)
-        pressure[t], modes_now, rates = state(q, at_outlet, offset, t)
-        modes[:, t] .= modes_now
-        storage[:, t] .= -kappa * (1 - g[t]) .* rates
-    end
+    change = maximum(abs, signals(harmonics, [now .- before]))
+    after_outlet!(now)
+    storage = -kappa .* (1 .- g') .* rates
     return Coupled(pressure, mean_pressure, modes, volume, storage, change)
 end
 
 """
-    state(q, at_outlet, offset, t)
+    state!(pressure, modes, rates, q, at_outlet, offset)
 
-P, the losses' modes, and the rates of P, P² and the modes, at one instant.
+P, the losses' modes, and the rates of P, P² and the modes, from q with its two rates, and
+the outlet's d with its two rates, P without its constant part `offset`, and ∂P/∂t.
 """
-function state(q, at_outlet, offset, t)
-    stored = (at_outlet[1, t], at_outlet[2, t], at_outlet[3, t])
-    modes, rates = modes_in_time((q[1, t], q[2, t], q[3, t]), stored)
-    pressure, pressure_rate = at_outlet[4, t] + offset, at_outlet[5, t]
-    return pressure, modes, (pressure_rate, 2 * pressure * pressure_rate, rates...)
+function state!(pressure, modes, rates, q, at_outlet, offset)
+    for t in eachindex(pressure)
+        inflow = (q[1, t], q[2, t], q[3, t])
+        stored = (at_outlet[1, t], at_outlet[2, t], at_outlet[3, t])
+        @views modes_in_time!(modes[:, t], rates[3:end, t], inflow, stored)
+        pressure[t] = at_outlet[4, t] + offset
+        rates[1, t] = at_outlet[5, t]
+        rates[2, t] = 2 * pressure[t] * rates[1, t]
+    end
+    return nothing
 end
 
 """

@@ -54,11 +54,10 @@ end
 
 function Harmonics(n_times::Integer, period::Real)
     omega = frequencies(n_times, period)
-    orders = 0:(length(omega) - 1)
-    # The angles' multiples of a whole turn are taken off exactly.
-    turn(order, instant) = 2 * mod(order * instant, n_times) / n_times
-    cosine = [cospi(turn(k, t)) for k in orders, t in 0:(n_times - 1)]
-    sine = [sinpi(turn(k, t)) for k in orders, t in 0:(n_times - 1)]
+    orders, instants = 0:(length(omega) - 1), 0:(n_times - 1)
+    turn = cispi.(2 .* instants ./ n_times)
+    waves = [turn[mod(k * t, n_times) + 1] for k in orders, t in instants]
+    cosine, sine = real.(waves), imag.(waves)
     # All harmonics but the mean and Nyquist's stand for two of a real signal.
     weight = [k == 0 || 2k == n_times ? 1.0 : 2.0 for k in orders] ./ n_times
     return Harmonics(omega, [cosine' -sine'], [weight .* cosine; -weight .* sine])
@@ -76,13 +75,13 @@ function spectrum(harmonics::Harmonics, signal::Vector)
 end
 
 """
-    signals(harmonics, spectra...)
+    signals(harmonics, spectra)
 
 The real signals of some spectra, (signal, time), as of `irfft`.
 """
-function signals(harmonics::Harmonics, spectra::Vararg{AbstractVector{Complex{T}}, N}) where {T, N}
+function signals(harmonics::Harmonics, spectra::Vector{Vector{Complex{T}}}) where {T}
     n = length(harmonics.omega)
-    parts = Matrix{T}(undef, N, 2n)
+    parts = Matrix{T}(undef, length(spectra), 2n)
     for (row, spectrum) in enumerate(spectra), k in 1:n
         parts[row, k], parts[row, n + k] = reim(spectrum[k])
     end
