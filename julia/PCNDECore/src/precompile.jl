@@ -58,8 +58,8 @@
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
         closure("losses", closures[2], (flow, area_undeformed), z, 1.0, chosen)
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
-        inputs = (closures[1:3]..., wave, area_undeformed, points)
-        closure("flow", closures[4], inputs, z, 1.0, chosen)
+        coupled = (closures[1:3]..., wave, area_undeformed, points)
+        closure("flow", closures[4], coupled, z, 1.0, chosen)
         predict_closures(closures, zeros(n_cases), wave, area_undeformed, z, 1.0, chosen)
         versions()
         HELD[] = nothing
