@@ -9,7 +9,7 @@ model like any other.  Only the way to the minimum differs:
   layers before it (variable projection, Golub and Pereyra 1973);
 - a₁, a₂ and b₁(t) by least squares inside that of b₂(t).
 
-Everything but the flow is small enough for numpy, so both engines share it.
+The engine computes the flow and runs L-BFGS; everything else is small enough for numpy.
 """
 
 from __future__ import annotations
@@ -151,6 +151,7 @@ def fit_flow(
             unit,
             validation_error if len(selection) > 1 else None,
             on_iteration,
+            lbfgs=engine.lbfgs,
         )
     )
 
@@ -252,6 +253,7 @@ def fit_temporal_pressure(
     inputs: TemporalPressureInputs,
     target: Array,
     selection: tuple[Positions, ...],
+    engine: Engine,
     config: PCNDEConfig,
     on_iteration: OnIteration | None = None,
 ) -> Array:
@@ -271,8 +273,8 @@ def fit_temporal_pressure(
         p/p_ref.
     selection : tuple of arrays of int
         Cases to fit, and, if given, cases whose error ends the fit.
-    config : PCNDEConfig
-        Settings.
+    engine, config
+        Who runs L-BFGS, and the settings.
     on_iteration : callable, optional
         Called with the number and loss of each iteration.
 
@@ -357,6 +359,7 @@ def fit_temporal_pressure(
         float(np.mean(target**2)),
         validation_error if len(selection) > 1 else None,
         on_iteration,
+        lbfgs=engine.lbfgs,
     )
     layer, _ = last_layer(hidden(fitted, xi)[0][-1])
     return np.concatenate([whitening.parameters(fitted), layer.ravel()])
@@ -398,6 +401,7 @@ def fit_spatial_pressure(
     vector: Array,
     inputs: SpatialPressureInputs,
     target: Array,
+    engine: Engine,
     grid: Grid,
     config: PCNDEConfig,
     on_iteration: OnIteration | None = None,
@@ -414,8 +418,8 @@ def fit_spatial_pressure(
         Of the cases to fit.
     target : array of shape (case, time, z)
         p/p_ref.
-    grid, config
-        Points, and settings.
+    engine, grid, config
+        Who runs L-BFGS, points, and settings.
     on_iteration : callable, optional
         Called with the number and loss of each iteration.
 
@@ -497,6 +501,7 @@ def fit_spatial_pressure(
         settings.pressure_iterations,
         float(np.mean(target**2)),
         on_iteration=on_iteration,
+        lbfgs=engine.lbfgs,
     )
     unknowns, _ = linear(height * np.tanh(b2[:, None] * inside))
     return np.concatenate([unknowns, b2])

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import AllAtOnce
-from pcnde_bridge.engines.base import Objective, OnIteration
+from pcnde_bridge.engines.base import LBFGS, Objective, OnAccepted, OnIteration
 from pcnde_bridge.errors import SolveError
 
 Array = npt.NDArray[np.float64]
 
 _DIVERGED = 10.0  # loss of a diverging trial step, in units of the first loss
+_TINY = 1e-300
 
 
 class Whitening:
@@ -85,6 +86,8 @@ def minimise(
     unit: float,
     validate: Callable[[Array], float] | None = None,
     on_iteration: OnIteration | None = None,
+    *,
+    lbfgs: LBFGS,
 ) -> Array:
     """Minimise objective(x)/unit + weight_decay·|x|².
 
@@ -105,6 +108,8 @@ def minimise(
         ends the fit once it has not fallen for ``settings.patience`` iterations.
     on_iteration : callable, optional
         Called with the number and loss of each iteration; may raise to stop.
+    lbfgs : callable
+        Runs the iterations; see :meth:`pcnde_bridge.engines.base.Engine.lbfgs`.
 
     Returns
     -------
@@ -116,9 +121,6 @@ def minimise(
     SolveError
         If the loss is not finite at the start.
     """
-    from scipy.optimize import OptimizeResult
-    from scipy.optimize import minimize as scipy_minimise
-
     first, _ = objective(start)
     if not math.isfinite(first):
         raise SolveError(
@@ -127,43 +129,56 @@ def minimise(
         )
     ceiling = _DIVERGED * (first / unit + settings.weight_decay * float(start @ start))
 
+    number, last = 0, start
+    best, best_error, best_number = start, math.inf, 0
+
     def total(x: Array) -> tuple[float, Array]:
         loss, gradient = objective(x)
         if not (math.isfinite(loss) and np.isfinite(gradient).all()):
-            return ceiling, np.zeros_like(x)
+            # A wall, which rises from the last iterate on.
+            way = x - last
+            return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
         decay = settings.weight_decay
         return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
 
-    number, best, best_error, best_number = 0, start, math.inf, 0
-
-    def after(intermediate_result: OptimizeResult) -> None:
-        nonlocal number, best, best_error, best_number
-        number += 1
-        x = intermediate_result.x
-        loss = (intermediate_result.fun - settings.weight_decay * float(x @ x)) * unit
+    def after(x: Array, value: float) -> None:
+        nonlocal number, last, best, best_error, best_number
+        number, last = number + 1, x
         if on_iteration is not None:
-            on_iteration(number, loss)
+            on_iteration(number, (value - settings.weight_decay * float(x @ x)) * unit)
         if validate is None:
-            best = x.copy()
+            best = x
         elif number % settings.check_every == 0 or number == iterations:
             error = validate(x)
             if error < best_error:
-                best, best_error, best_number = x.copy(), error, number
+                best, best_error, best_number = x, error, number
             elif number - best_number >= settings.patience:
                 raise StopIteration
 
-    scipy_minimise(
-        total,
+    lbfgs(total, start, settings.memory, iterations, after)
+    return best
+
+
+def lbfgs_of_scipy(
+    objective: Objective, start: Array, memory: int, iterations: int, after: OnAccepted
+) -> None:
+    """See :meth:`pcnde_bridge.engines.base.Engine.lbfgs`."""
+    from scipy.optimize import OptimizeResult, minimize
+
+    def callback(intermediate_result: OptimizeResult) -> None:
+        after(intermediate_result.x.copy(), float(intermediate_result.fun))
+
+    minimize(
+        objective,
         start,
         jac=True,
         method="L-BFGS-B",
-        callback=after,
+        callback=callback,
         options={
             "maxiter": iterations,
             "maxfun": 20 * iterations,
-            "maxcor": settings.memory,
+            "maxcor": memory,
             "ftol": 0.0,
             "gtol": 0.0,
         },
     )
-    return best

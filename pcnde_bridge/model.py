@@ -150,7 +150,7 @@ class PCNDE:
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
         settings = resolve_config(config)
-        engine = select_engine(engine, closures=isinstance(settings, ClosureConfig))
+        engine = select_engine(engine)
         trained = recipes.train(cases, settings, engine, int(seed), checkpoint, progress)
         return cls(
             trained.config,
@@ -495,7 +495,7 @@ class PCNDE:
                 uncertainty.check(parameters.correction.size)
         except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise FileError(f"{where} is not a whole model: {error}.") from error
-        chosen = select_engine(engine, closures=isinstance(config, ClosureConfig))
+        chosen = select_engine(engine)
         return cls(config, parameters, grid, chosen, provenance, history, uncertainty, novelty)
 
     def __repr__(self) -> str:

@@ -365,6 +365,7 @@ class Trainer:
                 inputs,
                 target,
                 self._selection(state, unit),
+                engine,
                 config,
                 record(unit.work, unit.epoch, 1),
             )
@@ -389,6 +390,7 @@ class Trainer:
                 parameters.spatial_pressure,
                 spatial_inputs,
                 target,
+                engine,
                 self._grid,
                 config,
                 record(unit.work, 1, 1),

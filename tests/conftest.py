@@ -17,6 +17,7 @@ from pcnde_bridge.datasets import find_published, load_cases
 from pcnde_bridge.engines.base import Fit
 from pcnde_bridge.errors import DataNotFoundError
 from pcnde_bridge.inference import predict_by_stages
+from pcnde_bridge.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.model import PCNDE
 
 # The same examples each time in the suite; HYPOTHESIS_PROFILE=long tries others, and many.
@@ -187,6 +188,7 @@ class ToyEngine:
 
     name = "toy"
     versions: ClassVar = {"toy": "1"}
+    lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self):
         self.flow = ToyStage(_toy_flow)

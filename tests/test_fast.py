@@ -21,7 +21,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.engines.jax import JaxEngine
 from pcnde_bridge.inference import predict_by_stages, undeformed
-from pcnde_bridge.lbfgs import Whitening, minimise
+from pcnde_bridge.lbfgs import Whitening, lbfgs_of_scipy, minimise
 from pcnde_bridge.least_squares import solve_per_point
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.parameters import initial_parameters
@@ -132,13 +132,17 @@ def test_the_area_stages_are_at_their_minimum(engine, small_cases, grid):
         assert ratio < 1e-9
 
 
-@pytest.mark.julia
-def test_the_area_stages_are_the_same_with_both_engines(engine, small_cases, grid):
+def julia_or_skip():
     why_not = why_not_julia()
     if why_not is not None:
         pytest.skip(f"no Julia: {why_not}")
+    return select_engine("julia")
+
+
+@pytest.mark.julia
+def test_the_area_stages_are_the_same_with_both_engines(engine, small_cases, grid):
+    theirs = area_gradients(julia_or_skip(), small_cases, grid, LITTLE)
     ours = area_gradients(engine, small_cases, grid, LITTLE)
-    theirs = area_gradients(select_engine("julia"), small_cases, grid, LITTLE)
     for (_, mine), (ratio, other) in zip(ours, theirs, strict=True):
         assert ratio < 1e-9
         assert np.allclose(mine, other, rtol=1e-8, atol=1e-10)
@@ -157,7 +161,7 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
     start = initial_parameters(config, 20, 21, 0).temporal_pressure
     losses = []
     vector = fast.fit_temporal_pressure(
-        start, inputs, target, everything, config, lambda _, loss: losses.append(loss)
+        start, inputs, target, everything, engine, config, lambda _, loss: losses.append(loss)
     )
     stage = engine.temporal_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
@@ -179,7 +183,7 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     start = initial_parameters(config, 20, 21, 0).spatial_pressure
     losses = []
     vector = fast.fit_spatial_pressure(
-        start, inputs, target, grid, config, lambda _, loss: losses.append(loss)
+        start, inputs, target, engine, grid, config, lambda _, loss: losses.append(loss)
     )
     stage = engine.spatial_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
@@ -219,12 +223,17 @@ def test_whitened_coordinates():
     assert whitening.gradient(weights) @ direction == pytest.approx(weights @ change)
 
 
+@pytest.fixture(params=["scipy", pytest.param("optim", marks=pytest.mark.julia)])
+def lbfgs(request):
+    return lbfgs_of_scipy if request.param == "scipy" else julia_or_skip().lbfgs
+
+
 def bowl(x):
     scale = np.array([1.0, 10.0, 100.0])
     return float(np.sum(scale * (x - 1) ** 2)), 2 * scale * (x - 1)
 
 
-def test_the_minimiser_finds_the_minimum_and_tells_the_loss():
+def test_the_minimiser_finds_the_minimum_and_tells_the_loss(lbfgs):
     seen = []
     found = minimise(
         bowl,
@@ -233,29 +242,31 @@ def test_the_minimiser_finds_the_minimum_and_tells_the_loss():
         50,
         1.0,
         on_iteration=lambda i, loss: seen.append((i, loss)),
+        lbfgs=lbfgs,
     )
     assert np.allclose(found, 1, atol=1e-7)
     assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
     assert seen[-1][1] < 1e-12
-    decayed = minimise(bowl, np.zeros(3), AllAtOnce(weight_decay=0.5), 50, 2.0)
+    decayed = minimise(bowl, np.zeros(3), AllAtOnce(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
     assert np.allclose(decayed, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
 
 
-def test_a_diverging_trial_step_is_shortened():
+def test_a_diverging_trial_step_is_shortened(lbfgs):
     trials = []
 
     def cliff(x):
         trials.append(bool(x.max() > 1.5))
         return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
 
-    found = minimise(cliff, np.full(3, -40.0), AllAtOnce(weight_decay=0.0), 100, 1e-3)
+    settings = AllAtOnce(weight_decay=0.0)
+    found = minimise(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
     assert any(trials)
     assert np.allclose(found, 1, atol=1e-5)
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        minimise(cliff, np.full(3, 2.0), AllAtOnce(), 10, 1.0)
+        minimise(cliff, np.full(3, 2.0), AllAtOnce(), 10, 1.0, lbfgs=lbfgs)
 
 
-def test_early_stopping_keeps_the_best():
+def test_early_stopping_keeps_the_best(lbfgs):
     seen, looks = [], []
 
     def validate(x):
@@ -264,7 +275,14 @@ def test_early_stopping_keeps_the_best():
 
     settings = AllAtOnce(weight_decay=0.0, check_every=1, patience=2)
     found = minimise(
-        lambda x: bowl(x), np.zeros(3), settings, 50, 1.0, validate, lambda *r: seen.append(r)
+        bowl,
+        np.zeros(3),
+        settings,
+        50,
+        1.0,
+        validate,
+        lambda *record: seen.append(record),
+        lbfgs=lbfgs,
     )
     assert len(seen) == len(looks) == 4
     assert np.array_equal(found, looks[1])
@@ -442,6 +460,30 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     )
     assert np.array_equal(fit(small_cases, parts[:1]), fit(other, parts[:1]))
     assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
+
+
+@pytest.mark.julia
+def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
+    julia = julia_or_skip()
+    whole = train(small_cases, julia)
+    theirs = train(small_cases, engine)
+    last = {record.stage: record.loss for record in whole.history}
+    for record in theirs.history:
+        if record == [r for r in theirs.history if r.stage == record.stage][-1]:
+            assert last[record.stage] < 1.5 * record.loss, record.stage
+    seen = []
+
+    def stop(record):
+        seen.append(record)
+        if len(seen) == 12:  # inside the second round
+            raise KeyboardInterrupt
+
+    path = tmp_path / "checkpoint"
+    with pytest.raises(KeyboardInterrupt):
+        train(small_cases, julia, checkpoint=path, on_record=stop)
+    again = train(small_cases, julia, checkpoint=path)
+    assert again.parameters == whole.parameters
+    assert without_seconds(again.history) == without_seconds(whole.history)
 
 
 def test_the_published_cases(published_cases):

@@ -19,10 +19,11 @@ from test_closures import (
     waves,
 )
 
-from pcnde_bridge import PCNDE, Cases, EngineUnavailableError, InputError
+from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.closures.uncertainty import parts
 from pcnde_bridge.config import PHYSICS, ClosureConfig
+from pcnde_bridge.engines import why_not_julia
 from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -33,8 +34,13 @@ SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}
 CONFIG = PHYSICS.replace(correction=SETTINGS)
 
 
-def fitted(cases, config=CONFIG, seed=0, **options):
-    return PCNDE.fit(cases, config, "jax", seed, **{"progress": False, **options})
+def fitted(cases, config=CONFIG, seed=0, engine="jax", **options):
+    return PCNDE.fit(cases, config, engine, seed, **{"progress": False, **options})
+
+
+def saved(model, folder):
+    model.save(folder / "model.npz")
+    return folder / "model.npz"
 
 
 def same_bits(a, b):
@@ -140,12 +146,22 @@ def test_given_numbers_are_kept(cases):
         model.predict(cases, samples=4)
 
 
-def test_julia_does_not_compute_it_yet(cases, model_file):
-    with pytest.raises(EngineUnavailableError, match="use engine='jax'"):
-        PCNDE.fit(cases, "physics", engine="julia")
-    with pytest.raises(EngineUnavailableError, match="use engine='jax'"):
-        PCNDE.load(model_file, engine="julia")
-    assert PCNDE.load(model_file, engine="auto").engine.name == "jax"
+@pytest.mark.julia
+def test_both_engines_fit_the_same_model(model, cases, prediction, tmp_path):
+    why_not = why_not_julia()
+    if why_not is not None:
+        pytest.skip(f"no Julia: {why_not}")
+    ours = fitted(cases, engine="julia")
+    assert ours.engine.name == PCNDE.load(saved(ours, tmp_path), engine="auto").engine.name
+    for name, vector in model.parameters:
+        assert np.allclose(getattr(ours.parameters, name), vector, rtol=1e-6, atol=1e-9), name
+    assert ours.evaluate(cases).iloc[-1]["pressure"] < 1e-4
+    mine = PCNDE.load(saved(model, tmp_path), engine="julia").predict(cases, samples=12, seed=3)
+    for name in VARIABLES:
+        expected = getattr(prediction, name)
+        close = {"rtol": 0, "atol": 1e-11 * np.abs(expected).max()}
+        assert np.allclose(getattr(mine, name), expected, **close), name
+        assert np.allclose(mine.samples[name], prediction.samples[name], **close), name
 
 
 def test_cases_that_do_not_vary_are_refused():
@@ -565,17 +581,6 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
     deviation = expected.deviation()["pressure"].ravel()
     assert np.allclose(found["pressure_deviation"], deviation, rtol=1e-6)
-
-
-def test_julia_on_the_command_line_is_an_error_with_advice(cases, tmp_path, run_pcnde):
-    cases.save(tmp_path / "cases.npz")
-    code, _, errors = run_pcnde(
-        *("fit", tmp_path / "cases.npz", "--preset", "physics", "--engine", "julia"),
-        *("--split", "none", "--out", tmp_path / "model.npz"),
-    )
-    assert code == 1
-    assert "engine='jax'" in errors
-    assert not (tmp_path / "model.npz").exists()
 
 
 # ---- the published cases -------------------------------------------------------

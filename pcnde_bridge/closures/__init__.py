@@ -11,6 +11,7 @@ numbers to learn, and all are coupled at every instant of a periodic cycle:
 What belongs to one of them (``outlet``, ``losses``, ``wall``, ``correction``) is fitted to
 the 3D cases with the others' true values, in this order; the correction last, with all
 coupled.  The equations and their derivations are in
-:mod:`pcnde_bridge.engines.jax.closures`, one file each; :mod:`.fit` fits them,
-:mod:`.training` runs the fits, :mod:`.uncertainty` says how far a prediction may be off.
+:mod:`pcnde_bridge.engines.jax.closures`, one file each, and under the same names in the Julia
+core's ``closures``; :mod:`.fit` fits them, :mod:`.training` runs the fits,
+:mod:`.uncertainty` says how far a prediction may be off.
 """

@@ -16,7 +16,7 @@ EngineName = Literal["auto", "julia", "jax"]
 _log = logging.getLogger("pcnde_bridge")
 
 
-def select_engine(name: EngineName | Engine = "auto", *, closures: bool = False) -> Engine:
+def select_engine(name: EngineName | Engine = "auto") -> Engine:
     """Start an engine, once per process.
 
     Parameters
@@ -25,8 +25,6 @@ def select_engine(name: EngineName | Engine = "auto", *, closures: bool = False)
         ``auto`` takes Julia when it is usable on this machine as it is, else
         JAX; which, and why, is logged to ``pcnde_bridge`` at level INFO.  An
         engine is returned as it is.
-    closures : bool
-        Whether it must compute the ``physics`` preset, which Julia does not yet.
 
     Raises
     ------
@@ -39,15 +37,11 @@ def select_engine(name: EngineName | Engine = "auto", *, closures: bool = False)
         return name
     if name not in get_args(EngineName):
         raise InputError(f"Unknown engine {name!r}; choose one of {list(get_args(EngineName))}.")
-    if closures and name == "julia":
-        raise EngineUnavailableError(
-            "The physics preset is computed by the JAX engine only; use engine='jax' or 'auto'."
-        )
     if name == "julia":
         return _julia()
     if name == "jax":
         return _jax()
-    why = "only it computes the physics preset." if closures else why_not_julia()
+    why = why_not_julia()
     if why is None:
         try:
             engine = _julia()

@@ -187,6 +187,12 @@ OnIteration = Callable[[int, float], None]
 Objective = Callable[[Array], tuple[float, Array]]
 """Loss and gradient at a parameter vector; the loss is infinite where the equation diverges."""
 
+OnAccepted = Callable[[Array, float], None]
+"""Called with each iterate, which is its own, and its loss; StopIteration ends the fit."""
+
+LBFGS = Callable[[Objective, Array, int, int, OnAccepted], None]
+"""See :meth:`Engine.lbfgs`."""
+
 InputsT = TypeVar("InputsT", contravariant=True)
 
 
@@ -323,12 +329,27 @@ class Engine(Protocol):
 
     @property
     def closures(self) -> Closures:
-        """What the ``physics`` preset needs.
+        """What the ``physics`` preset needs."""
+        ...
 
-        Raises
-        ------
-        EngineUnavailableError
-            If the engine does not compute it.
+    def lbfgs(
+        self, objective: Objective, start: Array, memory: int, iterations: int, after: OnAccepted
+    ) -> None:
+        """Minimise a function by L-BFGS without restarts, until its loss falls no more.
+
+        Parameters
+        ----------
+        objective : callable
+            Loss, always finite, and gradient.
+        start : array of shape (n,)
+            First iterate; the first trial step from it has length one.
+        memory : int
+            Pairs of steps and gradient changes that are kept.
+        iterations : int
+            At most so many.
+        after : callable
+            Called with each accepted iterate and its loss; what it raises ends the fit
+            and, but for StopIteration, is raised on.
         """
         ...
 

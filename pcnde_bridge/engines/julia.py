@@ -23,6 +23,7 @@ Which Julia, and which project with its packages, is decided in this order:
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -37,12 +38,12 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.engines.base import (
     Fit,
     FlowInputs,
@@ -51,17 +52,16 @@ from pcnde_bridge.engines.base import (
     IntermediateAreaInputs,
     Mask,
     Objective,
+    OnAccepted,
     OnIteration,
     Solution,
     SpatialPressureInputs,
     TemporalFlowInputs,
     TemporalPressureInputs,
 )
+from pcnde_bridge.engines.julia_closures import JuliaClosures
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
 from pcnde_bridge.parameters import Parameters
-
-if TYPE_CHECKING:
-    from pcnde_bridge.engines.closures import Closures
 
 __all__ = ["JuliaEngine", "JuliaStatus", "julia_settings_file", "julia_sources", "julia_status"]
 
@@ -371,8 +371,8 @@ def _other_core(folder: Path | None) -> str:
 
 
 def _contents(package: Path) -> dict[str, bytes]:
-    files = [package / "Project.toml", *sorted((package / "src").glob("*.jl"))]
-    return {file.name: file.read_bytes() for file in files if file.is_file()}
+    files = [package / "Project.toml", *(package / "src").rglob("*.jl")]
+    return {str(file.relative_to(package)): file.read_bytes() for file in files if file.is_file()}
 
 
 def _is_precompiled(version: str, environment: Mapping[str, str]) -> bool:
@@ -429,6 +429,7 @@ class _Julia:
             project = str(self._juliacall.CONFIG["project"])
             raise EngineUnavailableError(_incompatible(found, "running", ours, project))
         self._config = functools.lru_cache(maxsize=64)(self._new_config)
+        self.held: object = None  # whose problem Julia holds
 
     def versions(self) -> dict[str, str]:
         """Versions of Julia and the packages that compute."""
@@ -462,7 +463,7 @@ class _Julia:
             return self._core.from_python(array.ctypes.data, *reversed(array.shape))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
-        if isinstance(value, PCNDEConfig):
+        if isinstance(value, PCNDEConfig | ClosureConfig):
             return self._config(value)
         return value
 
@@ -474,7 +475,7 @@ class _Julia:
             return tuple(map(self._to_python, value))
         return value
 
-    def _new_config(self, config: PCNDEConfig) -> Any:
+    def _new_config(self, config: PCNDEConfig | ClosureConfig) -> Any:
         """Julia's copy of the settings, as a TOML text of plain numbers and words."""
         if config.flow.terms:
             raise EngineUnavailableError(
@@ -488,7 +489,8 @@ class _Julia:
             for name, value in settings.items()
             if value is not None
         ]
-        return self._core.config("\n".join(lines))
+        read = self._core.config if isinstance(config, PCNDEConfig) else self._core.closure_config
+        return read("\n".join(lines))
 
     def _failure(self, error: Any) -> BaseException:
         kind = str(self._juliacall.Base.nameof(self._juliacall.Base.typeof(error.exception)))
@@ -636,11 +638,19 @@ class JuliaStage(Generic[InputsT]):
             inputs,  # type: ignore[type-var]
             **{f.name: getattr(inputs, f.name)[chosen] for f in fields(inputs)},  # type: ignore[arg-type]
         )
-        chosen_target = target[chosen]
+        arrays, chosen_target = _arrays(chosen_inputs), target[chosen]
+        ours = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
-            # Nothing of Julia's is kept, which another thread might let go.
-            return self.loss_and_gradient(parameters, chosen_inputs, chosen_target, grid, config)
+            # Julia keeps the last problem itself: Python's hold on one might be let go by
+            # another thread.
+            if self._julia.held is not ours:
+                self._julia.held = None
+                period = float(grid.period)
+                self._julia.call("hold", self._name, arrays, chosen_target, grid.z, period, config)
+                self._julia.held = ours
+            loss, gradient = self._julia.call("held_loss_and_gradient", parameters)
+            return float(loss), gradient
 
         return evaluate
 
@@ -691,6 +701,7 @@ class JuliaEngine:
 
     def __init__(self) -> None:
         self._julia = _running()
+        self.closures = JuliaClosures(self._julia.call)
         self.flow: JuliaStage[FlowInputs] = JuliaStage(self._julia, "flow")
         self.intermediate_area: JuliaStage[IntermediateAreaInputs] = JuliaStage(
             self._julia, "intermediate_area"
@@ -727,23 +738,25 @@ class JuliaEngine:
         )
         return Solution(flow, area, pressure)
 
+    def lbfgs(
+        self, objective: Objective, start: Array, memory: int, iterations: int, after: OnAccepted
+    ) -> None:
+        """Optim's ``LBFGS``; see :class:`pcnde_bridge.engines.base.Engine`."""
+
+        def evaluate(x: Any, found: Any) -> None:
+            room = found.to_numpy(copy=False)
+            room[0], room[1:] = objective(x.to_numpy())
+
+        def accepted(x: Any, loss: float) -> None:
+            after(x.to_numpy(), float(loss))
+
+        with contextlib.suppress(StopIteration):
+            self._julia.call("lbfgs", evaluate, start, memory, iterations, accepted)
+
     @property
     def versions(self) -> Mapping[str, str]:
         """Versions of Julia and the packages that compute."""
         return self._julia.versions()
-
-    @property
-    def closures(self) -> Closures:
-        """What the ``physics`` preset needs, which Julia does not compute.
-
-        Raises
-        ------
-        EngineUnavailableError
-            Always.
-        """
-        raise EngineUnavailableError(
-            "The physics preset is computed by the JAX engine only; use engine='jax' or 'auto'."
-        )
 
 
 def _arrays(inputs: Any) -> tuple[Array, ...]:

@@ -18,16 +18,17 @@ and the momentum equation in time, which a study compares with the one in z, in
 
 Every array is float64 with the indices (z, time, case), in CGS units; every
 stage's parameters are one flat vector. `predict.jl` runs all stages of a trained model,
-`bridge.jl` holds what Python calls.
+`bridge.jl` holds what Python calls. The preset `physics` has its equations in `closures/`.
 """
 module PCNDECore
 
+using ForwardDiff: ForwardDiff, Dual
 using LinearAlgebra: LinearAlgebra, Adjoint, axpy!, dot, mul!, norm, rmul!
-using LineSearches: BackTracking, LineSearchException
+using LineSearches: BackTracking, LineSearchException, MoreThuente
 using Lux: Lux, Chain, Dense
 using NLSolversBase: NLSolversBase, OnceDifferentiable
 using NNlib: NNlib
-using Optim: Optim, BFGS
+using Optim: Optim, BFGS, LBFGS
 using OrdinaryDiffEqCore: OrdinaryDiffEqCore
 using OrdinaryDiffEqTsit5: Tsit5
 using PrecompileTools: @compile_workload, @setup_workload
@@ -56,6 +57,13 @@ include("spatial_pressure.jl")
 include("predict.jl")
 include("inverse_hessian.jl")
 include("fit.jl")
+include("lbfgs.jl")
+include("closures/quadrature.jl")
+include("closures/wall.jl")
+include("closures/losses.jl")
+include("closures/correction.jl")
+include("closures/coupling.jl")
+include("closures/closures.jl")
 include("bridge.jl")
 include("precompile.jl")
 

@@ -7,14 +7,22 @@
 Settings from a TOML text with one table per group; names that Julia does not need are
 left out, and what is not given keeps its default.
 """
-function config(toml::String)
+config(toml::String) = config(Config(), toml)
+
+"""
+    closure_config(toml)
+
+[`config`](@ref) of the preset `physics`.
+"""
+closure_config(toml::String) = config(ClosureConfig(), toml)
+
+function config(default::T, toml::String) where {T}
     given = TOML.parse(toml)
-    default = Config()
     groups = Any[
         settings(getfield(default, name), get(given, string(name), Dict{String, Any}()))
-        for name in fieldnames(Config)
+        for name in fieldnames(T)
     ]
-    return Config(groups...)
+    return T(groups...)
 end
 
 function settings(default::T, given::Dict{String, Any}) where {T}
@@ -68,7 +76,29 @@ end
 [`solve`](@ref).
 """
 function loss_and_gradient(stage::String, θ, inputs, target, z, period, config::Config)
-    objective = problem(stage, inputs, target, z, period, config)
+    return loss_and_gradient(problem(stage, inputs, target, z, period, config), θ)
+end
+
+# The problem that Python evaluates again and again.
+const HELD = Ref{Any}()
+
+"""
+    hold(stage, inputs, target, z, period, config)
+
+Keep the problem of [`loss_and_gradient`](@ref) for [`held_loss_and_gradient`](@ref), in
+place of the one before.
+"""
+hold(stage::String, inputs, target, z, period, config::Config) =
+    (HELD[] = problem(stage, inputs, target, z, period, config); nothing)
+
+"""
+    held_loss_and_gradient(θ)
+
+[`loss_and_gradient`](@ref) of the problem that is held.
+"""
+held_loss_and_gradient(θ) = loss_and_gradient(HELD[], θ)
+
+function loss_and_gradient(objective::Objective, θ)
     gradient = similar(θ)
     loss = value_and_gradient!(gradient, objective, θ)
     return loss, gradient
@@ -118,6 +148,34 @@ function problem(stage, inputs, target, z, period, config::Config)
         return TemporalFlow(inputs..., target, period, config.temporal_flow)
     end
     throw(ArgumentError("there is no stage \"$stage\""))
+end
+
+"""
+    closure(name, θ, inputs, z, period, config)
+
+`(value, jacobian)` of a closure of the preset `physics` by its parameters `θ`, (z, time,
+case) and (parameter, z, time, case).
+
+# Arguments
+
+  - `name`: `"losses"`, `"area"` or `"flow"`.
+  - `inputs`: arrays in the order of the Python package's `engines.closures`; the points'
+    positions count from 0.
+  - `z`, `period`: points, cm, and length of the cycle, s.
+  - `config`: a [`ClosureConfig`](@ref).
+"""
+function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
+    if name == "losses"
+        return value_and_jacobian(LossesClosure(inputs..., z, period, config), θ)
+    elseif name == "area"
+        return value_and_jacobian(AreaClosure(inputs..., z, config), θ)
+    elseif name == "flow"
+        others..., points = inputs
+        return value_and_jacobian(
+            FlowClosure(others..., Int.(points) .+ 1, z, period, config), θ,
+        )
+    end
+    throw(ArgumentError("there is no closure \"$name\""))
 end
 
 """

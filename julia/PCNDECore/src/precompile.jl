@@ -26,6 +26,12 @@
         "spatial_pressure" => (flow, flow, area_undeformed),
         "temporal_flow" => (wave, flow[:, 1, :]),
     )
+    closures = (
+        [1e5, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.1], [1e6, 0.45, 0.2, 1.0, 0.0],
+        [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
+    )
+    pressure, points = 1e5 .* flow, [1.0, 6.0]
+    bowl(x, found) = (found[1] = sum(abs2, x); found[2:end] .= 2 .* x; nothing)
     @compile_workload begin
         for a in (z, wave, area)
             GC.@preserve a from_python(Int(pointer(a)), size(a)...)
@@ -52,6 +58,15 @@
                 predict(θ, wave, area_undeformed, z, 1.0, 2, chosen)
             end
         end
+        hold("flow", (wave, area), flow, z, 1.0, Config())
+        lbfgs(bowl, [1.0, 2.0], 3, 2, (_, _) -> nothing)
+        chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
+        closure("losses", closures[2], (flow, area_undeformed), z, 1.0, chosen)
+        closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
+        coupled = (closures[1:3]..., wave, area_undeformed, points)
+        closure("flow", closures[4], coupled, z, 1.0, chosen)
+        predict_closures(closures, zeros(n_cases), wave, area_undeformed, z, 1.0, chosen)
         versions()
+        HELD[] = nothing
     end
 end

@@ -99,3 +99,27 @@ Base.@kwdef struct Config
     spatial_pressure::SpatialPressureStage = SpatialPressureStage()
     temporal_flow::TemporalFlowStage = TemporalFlowStage()
 end
+
+"""
+Wall of the preset `physics`; the law is decided.
+"""
+Base.@kwdef struct WallClosure
+    law::String = "membrane"
+end
+
+"""
+Correction of the preset `physics`: hidden layers, and coupling passes.
+"""
+Base.@kwdef struct CorrectionClosure
+    hidden::Vector{Int} = Int[]
+    passes::Int = 8
+end
+
+"""
+What the equations of the preset `physics` need of its settings.
+"""
+Base.@kwdef struct ClosureConfig
+    physics::Physics = Physics()
+    wall::WallClosure = WallClosure()
+    correction::CorrectionClosure = CorrectionClosure()
+end

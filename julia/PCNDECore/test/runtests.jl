@@ -3,7 +3,7 @@ using PCNDECore:
     Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
     Network, Objective, Optimiser, Physics, SolveError, SpatialPressure,
     SpatialPressureStage, StepControl, TemporalPressure, TemporalPressureStage, chain, fit,
-    fourier_area_problem, integrate!, intermediate_area_problem, lux_parameters,
+    fourier_area_problem, integrate!, intermediate_area_problem, lbfgs, lux_parameters,
     residual!, solve, solve_flow, solve_intermediate_area, value!, value_and_gradient!
 using LinearAlgebra
 using LineSearches: BackTracking
@@ -73,7 +73,9 @@ end
     include("area.jl")
     include("pressure.jl")
     include("fit.jl")
+    include("lbfgs.jl")
     include("predict.jl")
+    include("closures.jl")
     include("bridge.jl")
     include("hygiene.jl")
 end

@@ -24,6 +24,7 @@ from pcnde_bridge.engines.jax import area, flow, inference, physics_terms, press
 from pcnde_bridge.engines.jax.closures import JaxClosures
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
 from pcnde_bridge.inference import predict_by_stages
+from pcnde_bridge.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.precision import double_precision
 
@@ -88,6 +89,7 @@ class JaxEngine:
     """The five stages in JAX; see :class:`pcnde_bridge.engines.base.Engine`."""
 
     name = "jax"
+    lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self) -> None:
         self.closures = JaxClosures()

@@ -1,0 +1,116 @@
+"""The closures of the preset ``physics``: both engines, same parameters, same numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_closures import (
+    AREA,
+    CONFIG,
+    CORRECTED,
+    GRID,
+    INFLOW,
+    MEMBRANE,
+    ON,
+    VESSELS,
+    waves,
+)
+
+from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.engines.jax import JaxEngine
+from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+from pcnde_bridge.errors import SolveError
+
+_STATUS = julia_status()
+pytestmark = [
+    pytest.mark.julia,
+    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
+]
+
+LOCAL = CONFIG.replace(wall={"law": "local"})
+WINDKESSEL = CORRECTED.replace(outlet=np.array([2e4, 8e4, 1e-6, 5e3]))
+
+
+@pytest.fixture(scope="module")
+def both():
+    return JuliaEngine().closures, JaxEngine().closures
+
+
+@pytest.fixture(scope="module")
+def inflow():
+    """One of them reverses."""
+    waves = INFLOW.copy()
+    waves[3] = 2.5 * (waves[3] - waves[3].mean()) + 0.5
+    return waves
+
+
+@pytest.fixture(scope="module")
+def solution(both, inflow):
+    return both[1].predict(CORRECTED, np.zeros(16), inflow, AREA, GRID, CONFIG)
+
+
+def assert_same(found, expected):
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def assert_same_problems(problems, parameters):
+    (value, jacobian), (expected, expected_jacobian) = (p(parameters) for p in problems)
+    assert_same(value, expected)
+    for k in range(parameters.size):
+        assert_same(jacobian[..., k], expected_jacobian[..., k])
+
+
+@pytest.mark.parametrize("spread", [0.12, 1e-3, 10.0])
+def test_losses(both, solution, spread):
+    problems = [c.losses(solution.flow, AREA, GRID, CONFIG) for c in both]
+    assert_same_problems(problems, np.array([1.2, 1.1, 0.9, spread]))
+
+
+@pytest.mark.parametrize(
+    ("config", "parameters"), [(CONFIG, MEMBRANE), (LOCAL, np.array([1.0e6, 0.5, 2.0e3]))]
+)
+def test_walls(both, solution, config, parameters):
+    problems = [c.area(solution.pressure, AREA, GRID, config) for c in both]
+    assert_same_problems(problems, parameters)
+
+
+@pytest.mark.parametrize("others", [CORRECTED, WINDKESSEL])
+def test_flow_of_all_coupled(both, inflow, others):
+    points = np.array([8, 20, 40])
+    problems = [c.flow(others, inflow, AREA, points, GRID, CONFIG) for c in both]
+    assert_same_problems(problems, ON)
+
+
+def test_predictions(both, inflow, solution):
+    shift = np.linspace(-1.0, 1.0, 16)
+    for parameters in (CORRECTED, WINDKESSEL):
+        found, expected = (c.predict(parameters, shift, inflow, AREA, GRID, CONFIG) for c in both)
+        for mine, theirs in zip(found, expected, strict=True):
+            assert_same(mine, theirs)
+    # A case does not depend on those beside it, to the bit.
+    alone = both[0].predict(CORRECTED, shift[4:5], inflow[4:5], AREA[4:5], GRID, CONFIG)
+    together = both[0].predict(CORRECTED, shift, inflow, AREA, GRID, CONFIG)
+    for one, all_ in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one[0], all_[4])
+
+
+def test_an_odd_number_of_instants(both):
+    time = 0.8 * np.arange(25) / 25
+    grid = Grid(time, GRID.z, 0.8)
+    found, expected = (
+        c.predict(CORRECTED, np.zeros(4), waves(time / 0.8), VESSELS, grid, CONFIG) for c in both
+    )
+    for mine, theirs in zip(found, expected, strict=True):
+        assert_same(mine, theirs)
+
+
+def test_what_does_not_settle_is_the_same_error(both):
+    inflow = INFLOW.copy()
+    inflow[[9, 12]] *= 1e4
+    words = []
+    for closures in both:
+        with pytest.raises(SolveError, match="case 9 do not settle") as caught:
+            closures.predict(CORRECTED, np.zeros(16), inflow, AREA, GRID, CONFIG)
+        words.append(str(caught.value))
+    assert words[0] == words[1]
