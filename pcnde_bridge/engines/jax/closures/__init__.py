@@ -22,7 +22,7 @@ from pcnde_bridge.engines.jax.closures.coupling import (
     Coupled,
     VesselModes,
     couple,
-    fields,
+    in_time,
     vessel_modes,
 )
 from pcnde_bridge.engines.jax.closures.losses import N_SQUARES
@@ -34,11 +34,14 @@ __all__ = ["JaxClosures"]
 
 Array = npt.NDArray[np.float64]
 
-_BATCH = 32
-"""Cases computed together: their fields stay in the processor's cache."""
+_BATCH = 64
+"""Cases computed together: their functions of time and of z stay in the processor's cache."""
 
 _BLOCK = 4096
 """Cases whose vessels are kept at a time."""
+
+_SETTLED = 1e-9
+"""Change of a coupling pass, relative to the largest inflow, after which there is none more."""
 
 _CONVERGED = 1e-4
 """Largest change of the last coupling pass, relative to the largest inflow."""
@@ -160,24 +163,59 @@ def _predict_batch(
 ) -> None:
     """Predict few cases, and write them into their rows of the result."""
     size = len(which)
-    which, *filled = _filled_up((which, *cases))
-    own = jax.tree.map(lambda a: a[which], vessels)
+    filled = _filled_up((vessels.flow[which, :, -1], vessels.flow_slope[which, :, -1], *cases))
     vectors = parameters.outlet, parameters.wall, parameters.correction
     with double_precision():
-        coupled, solved = _couple(vectors, own, *filled, grid.period, config=config)
+        coupled, solved = _couple(vectors, *filled, grid.period, config=config)
         failed = np.flatnonzero(~np.asarray(solved)[:size])
-        if failed.size:
-            raise SolveError(
-                f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
-                f"{config.correction.passes} coupling passes. Check the units of inflow and area "
-                "(mL/s, cm²); a stiffer wave or a longer vessel needs more passes "
-                "(correction.passes)."
-            )
-        reverses = bool(np.asarray(coupled.modes)[:size, -N_SQUARES:].any())
-        parts = _fields(parameters.wall, coupled, own, filled[1], reverses=reverses)
-        for whole, part in zip(result, parts, strict=True):
-            assert whole is not None
-            whole[rows] = np.asarray(part)[:size]
+        coupled = Coupled(*(np.asarray(a)[:size] for a in coupled))
+    if failed.size:
+        raise SolveError(
+            f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
+            f"{config.correction.passes} coupling passes. Check the units of inflow and area "
+            "(mL/s, cm²); a stiffer wave or a longer vessel needs more passes "
+            "(correction.passes)."
+        )
+    _fields(coupled, vessels, which, *(whole[rows] for whole in result if whole is not None))
+
+
+def _fields(
+    coupled: Coupled,
+    vessels: VesselModes,
+    which: npt.NDArray[np.int64],
+    flow: Array,
+    area: Array,
+    pressure: Array,
+) -> None:
+    """Write the sums of products of functions of time and of z into (case, time, z).
+
+    A matrix product for each case: NumPy's writes its result at once where it belongs.
+    """
+    of_flow, of_others = in_time(coupled)
+    # The last modes belong to reversed flow: where there is none, they are zero.
+    modes = len(of_flow) - 3
+    if not any(mode.any() for mode in of_others[-N_SQUARES:]):
+        modes -= N_SQUARES
+    rows = 3 + modes
+    mean = coupled.mean_pressure[:, None, None]
+    in_z = vessels.flow[which, :rows]
+    in_z[:, 3:] += mean * vessels.flow_slope[which, :modes]
+    np.matmul(_stacked(of_flow[:rows]), in_z, out=flow)
+    in_z = vessels.area[which, :rows]
+    in_z[:, 3:] += mean * vessels.area_slope[which, :modes]
+    square, *others = of_others[: rows - 1]
+    functions = _stacked((square, np.ones_like(square), *others))
+    np.matmul(functions, in_z, out=area)
+    np.matmul(functions[:, :, 1:], vessels.pressure[which, : rows - 1], out=pressure)
+
+
+def _stacked(functions: tuple[Array, ...]) -> Array:
+    """(case, time) for each function, as a view (case, time, function)."""
+    count, n_times = functions[0].shape
+    stack = np.empty((count, len(functions), n_times))
+    for number, function in enumerate(functions):
+        stack[:, number] = function
+    return stack.transpose(0, 2, 1)
 
 
 def _filled_up(arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:
@@ -222,8 +260,12 @@ def _flow(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) 
 
     def one(vessel: VesselModes, inflow: jax.Array) -> jax.Array:
         vectors = outlet, wall, parameters
-        coupled = couple(*vectors, jnp.zeros(()), vessel, inflow, period, config.correction)
-        return inflow[:, None] + coupled.storage.T @ coupled.volume[:, points]
+        at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1]
+        coupled = couple(
+            *vectors, jnp.zeros(()), *at_outlet, inflow, period, config.correction
+        )
+        in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
+        return jnp.stack(in_time(coupled)[0]).T @ in_z[:, points]
 
     return jax.vmap(one)(*cases)
 
@@ -278,7 +320,8 @@ def _problem(
 @partial(jax.jit, static_argnames="config")
 def _couple(
     vectors: tuple[jax.Array, ...],
-    vessels: VesselModes,
+    flow: jax.Array,
+    flow_slope: jax.Array,
     shift: jax.Array,
     inflow: jax.Array,
     period: jax.Array,
@@ -287,20 +330,13 @@ def _couple(
     """Couple all cases, and say which settle."""
     outlet, wall, correction = vectors
 
-    def one(vessel: VesselModes, shift: jax.Array, inflow: jax.Array) -> tuple[Coupled, jax.Array]:
-        coupled = couple(outlet, wall, correction, shift, vessel, inflow, period, config.correction)
+    def one(
+        flow: jax.Array, flow_slope: jax.Array, shift: jax.Array, inflow: jax.Array
+    ) -> tuple[Coupled, jax.Array]:
+        vessel = flow, flow_slope
+        coupled = couple(
+            outlet, wall, correction, shift, *vessel, inflow, period, config.correction, _SETTLED
+        )
         return coupled, coupled.change <= _CONVERGED * jnp.max(jnp.abs(inflow))
 
-    return jax.vmap(one)(vessels, shift, inflow)
-
-
-@partial(jax.jit, static_argnames="reverses")
-def _fields(
-    wall: jax.Array, coupled: Coupled, vessels: VesselModes, inflow: jax.Array, reverses: bool
-) -> tuple[jax.Array, ...]:
-    """Evaluate all cases; the modes of reversed flow only where some flow reverses."""
-
-    def one(coupled: Coupled, vessel: VesselModes, inflow: jax.Array) -> tuple[jax.Array, ...]:
-        return fields(coupled, vessel, wall, inflow, reverses)
-
-    return jax.vmap(one)(coupled, vessels, inflow)
+    return jax.vmap(one)(flow, flow_slope, shift, inflow)

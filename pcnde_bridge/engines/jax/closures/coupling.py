@@ -11,13 +11,17 @@ up to the losses and the square in S.
 
 The wall is linear in p and the losses are a sum of few products of functions of z and
 of t, so that the integrals over z are done once for each vessel, exactly on its grid,
-and only the outlet flow y = Q(L) is sought.  Each coupling pass takes all but the
-largest, linear part from the pass before it and solves that part harmonic by harmonic:
+and only the outlet flow y = Q(L) is sought, or what is stored of the inflow, d = Q_in − y:
 
-    y·(1 + κ·V₀·iω·𝒵(ω)) = Q_in − κ·∂_t[V − V₀·P] + κ·g·∂_t V,
+    e·d = κ·∂V/∂t,    e(t) = 1/(1 − g),
 
-with the volume V(t) of the vessel, P = 𝒵y + p_d − p₀, and V₀·P the part of V that a
-uniform pressure gives to first order.
+with the volume V(t) of the vessel, a function of P = 𝒵y + p_d − p₀ and of the losses.
+Each coupling pass solves the part that is linear with constant coefficients, harmonic by
+harmonic, for what the pass before it left over:
+
+    (mean(e) + κ·A(ω))·Δy = e·d − κ·∂V/∂t,
+
+where A(ω) is ∂V/∂t of a small y about the mean flow and pressure.
 """
 
 from __future__ import annotations
@@ -36,26 +40,27 @@ from pcnde_bridge.engines.jax.closures.wall import displacement
 
 
 class VesselModes(NamedTuple):
-    """What of a vessel does not depend on the flow; k = 10 modes of the losses.
+    """Functions of z of one vessel: flow, area and pressure are their sums.
+
+    They belong to the functions of time of :func:`in_time`, with k = 10 modes of the losses.
 
     Attributes
     ----------
-    radius, uniform : array of shape (z,)
-        r_u, cm, and the displacement under a pressure of 1 dyn/cm² everywhere.
-    pressure, moved : array of shape (k, z)
-        The losses' functions of z, and the displacements under them.
-    volume : array of shape (2 + k, z)
-        Volume before z that belongs to P, to P² and to the modes.
-    volume_slope : array of shape (k, z)
-        What the mean of P adds to the modes' volume.
+    flow : array of shape (3 + k, z)
+        1, and the volume before z that belongs to P, to P² and to the modes.
+    area : array of shape (3 + k, z)
+        Of P², of 1, of P and of the modes: (r_u + u_r)² without the products of modes.
+    pressure : array of shape (2 + k, z)
+        p₀, 1 and the losses' functions of z.
+    flow_slope, area_slope : array of shape (k, z)
+        What the mean of P adds to the modes' rows of flow and area.
     """
 
-    radius: jax.Array
-    uniform: jax.Array
+    flow: jax.Array
+    area: jax.Array
     pressure: jax.Array
-    moved: jax.Array
-    volume: jax.Array
-    volume_slope: jax.Array
+    flow_slope: jax.Array
+    area_slope: jax.Array
 
 
 class Coupled(NamedTuple):
@@ -63,25 +68,23 @@ class Coupled(NamedTuple):
 
     Attributes
     ----------
-    outlet_pressure : array of shape (time,)
-        P = p(L) − p₀, dyn/cm².
+    inflow, stored : array of shape (3, time)
+        q and d = q − Q(L) with their first and second rates.
+    pressure : array of shape (2, time)
+        P = p(L) − p₀, dyn/cm², and its rate.
+    factor : array of shape (time,)
+        −κ·(1 − g).
     mean_pressure : scalar
         The mean of P that the inflow gives.
-    modes : array of shape (k, time)
-        The losses' functions of time.
-    volume : array of shape (2 + k, z)
-        :attr:`VesselModes.volume` at this mean pressure.
-    storage : array of shape (2 + k, time)
-        −κ(1 − g)·∂_t of P, P² and the modes: Q = Q_in + Σ storage·volume.
     change : scalar
-        Largest change of Q(L) in the last pass, mL/s.
+        No change of Q(L) in the last pass was larger, mL/s.
     """
 
-    outlet_pressure: jax.Array
+    inflow: jax.Array
+    stored: jax.Array
+    pressure: jax.Array
+    factor: jax.Array
     mean_pressure: jax.Array
-    modes: jax.Array
-    volume: jax.Array
-    storage: jax.Array
     change: jax.Array
 
 
@@ -96,16 +99,22 @@ def vessel_modes(
     """Integrate wall and losses along one vessel, S_u (z,)."""
     radius = jnp.sqrt(area_undeformed / jnp.pi)
     uniform = displacement(wall, jnp.ones((1, z.size)), area_undeformed, z, law)[0]
-    first = from_inlet(2 * jnp.pi * radius * uniform, z)
+    per_pressure = 2 * jnp.pi * radius * uniform
+    first = from_inlet(per_pressure, z)
     coefficients = losses.coefficients(loss, area_undeformed, z, physics)
     pressure = losses.modes_in_space(coefficients, first / first[-1], z)
     moved = displacement(wall, pressure, area_undeformed, z, law)
-    second = from_inlet(jnp.pi * uniform**2, z)
-    volume = jnp.concatenate(
-        [jnp.stack([first, second]), from_inlet(2 * jnp.pi * radius * moved, z)]
+    square = jnp.pi * uniform**2
+    one = jnp.ones_like(z)
+    area = 2 * jnp.pi * radius * moved
+    slope = 2 * jnp.pi * uniform * moved
+    return VesselModes(
+        jnp.stack([one, first, from_inlet(square, z), *from_inlet(area, z)]),
+        jnp.stack([square, area_undeformed, per_pressure, *area]),
+        jnp.stack([wall[-1] * one, one, *pressure]),
+        from_inlet(slope, z),
+        slope,
     )
-    slope = from_inlet(2 * jnp.pi * uniform * moved, z)
-    return VesselModes(radius, uniform, pressure, moved, volume, slope)
 
 
 def impedance(outlet: jax.Array, omega: jax.Array) -> jax.Array:
@@ -120,10 +129,12 @@ def couple(
     wall: jax.Array,
     correction: jax.Array,
     shift: jax.Array,
-    vessel: VesselModes,
+    flow: jax.Array,
+    flow_slope: jax.Array,
     inflow: jax.Array,
     period: jax.Array,
     settings: CorrectionClosure,
+    tolerance: float | None = None,
 ) -> Coupled:
     """Find the outlet flow, and all functions of time with it.
 
@@ -133,90 +144,100 @@ def couple(
         Parameters.
     shift : scalar
         See :func:`~pcnde_bridge.engines.jax.closures.correction.hidden_share`.
-    vessel : VesselModes
-        Of this case.
+    flow, flow_slope : array of shape (3 + k,) and (k,)
+        :class:`VesselModes` of this case at the outlet.
     inflow : array of shape (time,)
         Q_in, mL/s.
     period : scalar
         s.
     settings : CorrectionClosure
         Hidden layers of the correction and number of coupling passes.
+    tolerance : float, optional
+        End once a pass changes Q(L) by less, relative to the largest inflow; without it
+        all passes are made, as derivatives need it.
     """
     n_times = inflow.shape[0]
-    omega = frequencies(n_times, period)
-    z_outlet = impedance(outlet, omega)
+    i_omega = 1j * frequencies(n_times, period)
+    with_rates = jnp.stack([jnp.ones_like(i_omega), i_omega, i_omega**2])
+    z_outlet = impedance(outlet, i_omega.imag)
+    with_rate = z_outlet * with_rates[:2]
     kappa = storage_factor(correction)
     inflow_harmonics = jnp.fft.rfft(inflow)
+    mean_flow = jnp.mean(inflow)
 
-    def signal(harmonics: jax.Array) -> jax.Array:
+    def signals(harmonics: jax.Array) -> jax.Array:
         return jnp.fft.irfft(harmonics, n=n_times)
 
-    def with_rates(harmonics: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        first = 1j * omega * harmonics
-        return signal(harmonics), signal(first), signal(1j * omega * first)
-
     offset = outlet[3] - wall[-1]
-    mean_pressure = z_outlet[0].real * jnp.mean(inflow) + offset
-    volume = vessel.volume.at[2:].add(mean_pressure * vessel.volume_slope)
-    total = volume[:, -1]
-    solve = 1 / (1 + kappa * total[0] * 1j * omega * z_outlet)
+    mean_pressure = z_outlet[0].real * mean_flow + offset
+    total = jnp.concatenate([flow[1:3], flow[3:] + mean_pressure * flow_slope])
 
-    passive = solve * inflow_harmonics
-    passive_rate = signal(1j * omega * z_outlet * passive)
-    g = hidden_share(correction, passive_rate, signal(passive), shift, settings.hidden)
+    passive = inflow_harmonics / (1 + kappa * total[0] * with_rate[1])
+    passive_flow, passive_rate = signals(jnp.stack([passive, with_rate[1] * passive]))
+    g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
+    shown = 1 / (1 - g)
 
-    def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """P, the losses' functions of time, and the rates of P, P² and those."""
-        stored = with_rates(inflow_harmonics - harmonics)
-        modes, mode_rates = losses.modes_in_time(inflow_with_rates, stored)
-        pressure = signal(z_outlet * harmonics) + offset
-        pressure_rate = signal(1j * omega * z_outlet * harmonics)
-        first = jnp.stack([pressure_rate, 2 * pressure * pressure_rate])
-        return pressure, modes, jnp.concatenate([first, mode_rates])
-
-    def one_pass(_: int, harmonics: jax.Array) -> jax.Array:
-        rates = state(harmonics)[2]
-        rest = total[1:] @ rates[1:]
-        hidden = g * (total[0] * rates[0] + rest)
-        after: jax.Array = solve * (inflow_harmonics - kappa * jnp.fft.rfft(rest - hidden))
-        return after
-
-    inflow_with_rates = with_rates(inflow_harmonics)
-    before = jax.lax.fori_loop(0, settings.passes - 1, one_pass, passive)
-    harmonics = one_pass(0, before)
-    change = jnp.max(jnp.abs(signal(harmonics - before)))
-    pressure, modes, rates = state(harmonics)
-    storage = -kappa * (1 - g) * rates
-    return Coupled(pressure, mean_pressure, modes, volume, storage, change)
-
-
-def fields(
-    coupled: Coupled,
-    vessel: VesselModes,
-    wall: jax.Array,
-    inflow: jax.Array,
-    reverses: bool = True,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Flow (mL/s), area (cm²) and pressure (dyn/cm²) of one case, each (time, z).
-
-    The area keeps of the square (r_u + u_r)² what the volume keeps: all of the
-    uniform pressure's displacement, and of the losses' the product with the rest
-    at its mean pressure.  Where no flow ``reverses``, the last modes are zero.
-    """
-    modes = slice(None if reverses else -losses.N_SQUARES)
-    p = coupled.outlet_pressure
-    mean_radius = vessel.radius + vessel.uniform * coupled.mean_pressure
-    squared = (vessel.radius + vessel.uniform * p[:, None]) ** 2
-    area = jnp.pi * (
-        squared + _products(coupled.modes[modes], 2 * mean_radius * vessel.moved[modes])
+    # Of the modes d, ∂d/∂t and q·d, which come with −y.
+    of_stored, of_rate = total[3], total[5]
+    of_product = jnp.where(mean_flow >= 0, total[7], total[10])
+    linear = with_rate[1] * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
+        of_stored + of_product * mean_flow + i_omega * of_rate
     )
-    flow = inflow[:, None] + _products(coupled.storage[modes], coupled.volume[modes])
-    pressure = (p + wall[-1])[:, None] + _products(coupled.modes[modes], vessel.pressure[modes])
-    return flow, area, pressure
+    solve = 1 / (jnp.mean(shown) + kappa * linear)
+
+    def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = signals(
+            jnp.concatenate([with_rates * (inflow_harmonics - harmonics), with_rate * harmonics])
+        )
+        return found[:3], found[3:].at[0].add(offset)
+
+    def one_pass(harmonics: jax.Array) -> jax.Array:
+        stored, pressure = state(harmonics)
+        rates = volume_rates(tuple(inflow_signals), tuple(stored), tuple(pressure))
+        filling = reduce(jnp.add, (v * r for v, r in zip(total, rates, strict=True)))
+        change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
+        return change
+
+    def advance(before: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        harmonics, _, number = before
+        change = one_pass(harmonics)
+        size = jnp.abs(change)
+        # No signal exceeds the sum of its harmonics' amplitudes.
+        return harmonics + change, (2 * jnp.sum(size) - size[0]) / n_times, number + 1
+
+    inflow_signals = signals(with_rates * inflow_harmonics).at[0].set(inflow)
+    first = passive, jnp.full((), jnp.inf), jnp.zeros((), dtype=int)
+    if tolerance is None:
+        last = jax.lax.fori_loop(0, settings.passes, lambda _, b: advance(b), first)
+    else:
+        settled = tolerance * jnp.max(jnp.abs(inflow))
+        last = jax.lax.while_loop(
+            lambda b: (b[2] < settings.passes) & (b[1] > settled), advance, first
+        )
+    stored, pressure = state(last[0])
+    factor = -kappa * (1 - g)
+    return Coupled(inflow_signals, stored, pressure, factor, mean_pressure, last[1])
 
 
-def _products(in_time: jax.Array, in_space: jax.Array) -> jax.Array:
-    """Σ_k T_k(t)·Z_k(z), (time, z): few terms, which one fused loop adds up."""
-    terms = (t[:, None] * z for t, z in zip(in_time, in_space, strict=True))
-    total: jax.Array = reduce(jnp.add, terms)
-    return total
+def volume_rates(
+    inflow: losses.Signals, stored: losses.Signals, pressure: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, ...]:
+    """∂/∂t of P, P² and the modes, 2 + k of (..., time)."""
+    p, p_rate = pressure
+    return p_rate, 2 * p * p_rate, *losses.modes_in_time(inflow, stored)[1]
+
+
+def in_time(
+    coupled: Coupled,
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    """Functions of time that belong to :class:`VesselModes`, of (..., time).
+
+    The first are the flow's 3 + k, Q_in and −κ(1 − g)·∂_t of P, P² and the modes; the
+    second the area's without 1, P², P and the modes, of which the pressure's are those
+    after the first.  Arrays of JAX or of NumPy, with any axes before the time.
+    """
+    q, d = (tuple(a[..., i, :] for i in range(3)) for a in (coupled.inflow, coupled.stored))
+    p, p_rate = coupled.pressure[..., 0, :], coupled.pressure[..., 1, :]
+    modes, _ = losses.modes_in_time(q, d)
+    rates = volume_rates(q, d, (p, p_rate))
+    return (q[0], *(coupled.factor * r for r in rates)), (p * p, p, *modes)

@@ -36,6 +36,10 @@ N_SQUARES = 3
 """Products of q and d; the modes end with those of forward and of reversed flow."""
 
 
+Signals = tuple[jax.Array, jax.Array, jax.Array]
+"""A function of time with its first and second rates."""
+
+
 class Coefficients(NamedTuple):
     """Densities in z of the three terms.
 
@@ -131,9 +135,9 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
 
 
 def modes_in_time(
-    inflow: tuple[jax.Array, jax.Array, jax.Array], stored: tuple[jax.Array, jax.Array, jax.Array]
-) -> tuple[jax.Array, jax.Array]:
-    """Return the functions of time, (10, time), and their rates.
+    inflow: Signals, stored: Signals
+) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    """Return the functions of time, ten of (..., time), and their rates.
 
     They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
     same where it goes back.  Its direction is that in the middle of the storage,
@@ -142,16 +146,17 @@ def modes_in_time(
 
     Parameters
     ----------
-    inflow, stored : three arrays of shape (time,)
-        q and d with their first and second rates.
+    inflow, stored : three arrays of shape (..., time)
+        q and d with their first and second rates; of JAX or of NumPy.
     """
     q, q1, q2 = inflow
     d, d1, d2 = stored
     forward = (q - d / 2 >= 0).astype(q.dtype)
-    squares = jnp.stack([q * q, q * d, d * d])
-    square_rates = jnp.stack([2 * q * q1, q1 * d + q * d1, 2 * d * d1])
+    back = 1 - forward
+    squares = q * q, q * d, d * d
+    square_rates = 2 * q * q1, q1 * d + q * d1, 2 * d * d1
 
-    def joined(linear: tuple[jax.Array, ...], products: jax.Array) -> jax.Array:
-        return jnp.concatenate([jnp.stack(linear), forward * products, (1 - forward) * products])
+    def directed(products: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        return *(forward * p for p in products), *(back * p for p in products)
 
-    return joined((q, d, q1, d1), squares), joined((q1, d1, q2, d2), square_rates)
+    return (q, d, q1, d1, *directed(squares)), (q1, d1, q2, d2, *directed(square_rates))
