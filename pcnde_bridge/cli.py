@@ -164,6 +164,8 @@ def cross_validate_(
     csv: Annotated[Path | None, typer.Option("--csv", help="Also write the table.")] = None,
 ) -> None:
     """Print errors on each waveform and geometry left out of the training cases."""
+    import pandas as pd
+
     from pcnde_bridge.cross_validation import cross_validate
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.tasks import processes
@@ -183,11 +185,12 @@ def cross_validate_(
             table.to_csv(temporary)
     variables = [name for name in ("flow", "area", "pressure") if name in table]
     errors = table[variables]
-    rows = [(f"{label} {value}", row) for (label, value), row in errors.iterrows()]
-    rows += [(f"mean, {label}", row) for label, row in errors.groupby("label").mean().iterrows()]
-    _print_errors({name: {k: float(row[k]) for k in variables} for name, row in rows})
-    for (label, value), why in table["failure"].dropna().items():
-        _say(f"{label} {value}: {why}")
+    errors = errors.set_axis([f"{label} {value}" for label, value in table.index])
+    means = table[variables].groupby("label").mean().rename(index=lambda label: f"mean, {label}")
+    together = pd.concat([errors, means])
+    _print_errors({str(name): dict(row) for name, row in together.astype(object).iterrows()})
+    for name, why in table["failure"].set_axis(errors.index).dropna().items():
+        _say(f"{name}: {why}")
 
 
 @app.command()

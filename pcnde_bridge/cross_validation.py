@@ -86,7 +86,7 @@ def cross_validate(
     >>> cross_validate(train, "fast").groupby("label").mean(numeric_only=True)  # doctest: +SKIP
     """
     settings = resolve_config(config)
-    engine = same_everywhere(engine, settings)
+    engine = same_everywhere(engine)
     chosen = parts(cases)
     everything = np.arange(len(cases))
     tasks = {

@@ -170,7 +170,7 @@ class Ensemble:
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
                 raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
         settings = resolve_config(config)
-        engine = same_everywhere(engine, settings)
+        engine = same_everywhere(engine)
         left_out = parts(cases, folds)
         if not left_out:
             raise InputError(
@@ -233,6 +233,11 @@ class Ensemble:
     def engine(self) -> Engine:
         """Who computes the predictions."""
         return self.members[0].engine
+
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the members predict pressure."""
+        return self.members[0].has_pressure
 
     @property
     def any_grid(self) -> bool:

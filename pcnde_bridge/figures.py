@@ -10,7 +10,6 @@ import logging
 import os
 import warnings
 from collections.abc import Callable, Collection
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -23,12 +22,14 @@ import pandas as pd
 from pcnde_bridge import plots, studies
 from pcnde_bridge.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.novelty import OutsideTrainingWarning
 from pcnde_bridge.synthetic import fewer_words
+from pcnde_bridge.tasks import Workers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,7 +72,7 @@ class Material:
     other : Baseline or None
         Another method to compare with; by default the 1D solver with the wall that
         the paper's "1D FEM" was computed with.
-    executor : concurrent.futures.Executor or None
+    executor : Executor, or callable that makes one, or None
         Who runs the tasks of studies.
     """
 
@@ -81,7 +82,7 @@ class Material:
     test: Cases | None = None
     truth_label: str = "3D, averaged"
     other: Baseline | None = field(default_factory=lambda: Solver1D(FEM_WALL))
-    executor: Executor | None = None
+    executor: Workers | None = None
 
     @property
     def judged(self) -> Cases:
@@ -253,6 +254,28 @@ def _activations(material: Material) -> Drawn:
     return Drawn(plots.activations(study), study)
 
 
+def _recipe(material: Material) -> PCNDEConfig:
+    """Take the model's settings for studies that train anew, if they train in batches."""
+    config = material.model.config
+    if isinstance(config, PCNDEConfig) and config.training == "batches":
+        return config
+    return PAPER
+
+
+def _smoothness(material: Material) -> Drawn:
+    study = studies.compare_formulations(
+        material.train, material.test, config=_recipe(material), engine=material.model.engine
+    )
+    return Drawn(plots.smoothness(study), study.to_frame())
+
+
+def _landscapes(material: Material) -> Drawn:
+    study = studies.explore_landscapes(
+        material.train, config=_recipe(material), engine=material.model.engine
+    )
+    return Drawn(plots.landscapes(study), study.to_frame())
+
+
 FIGURES = (
     Entry("data-set", "waveforms, geometries and split (figure 2)", _data_set),
     Entry("history", "losses of the training (not in the paper)", _history),
@@ -271,6 +294,18 @@ FIGURES = (
         "pressure networks with five activation functions (section 3.2)",
         _activations,
         cost="fits the pressure stages five times",
+    ),
+    Entry(
+        "smoothness",
+        "momentum in time and in space (figure 3)",
+        _smoothness,
+        cost="fits three flow networks",
+    ),
+    Entry(
+        "loss-landscapes",
+        "physics terms beside the network (figure 9)",
+        _landscapes,
+        cost="fits four flow networks until the first coupling",
     ),
 )
 """All figures, in the order in which they are made."""

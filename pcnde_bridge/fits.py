@@ -83,9 +83,7 @@ def common_facts(
     }
 
 
-def same_everywhere(
-    engine: EngineName | Engine, config: PCNDEConfig | ClosureConfig
-) -> EngineName | Engine:
+def same_everywhere(engine: EngineName | Engine) -> EngineName | Engine:
     """Replace ``auto`` by the engine that it means here, so that no worker takes another.
 
     Raises
@@ -93,5 +91,5 @@ def same_everywhere(
     EngineUnavailableError
         If the engine cannot be used here.
     """
-    found = select_engine(engine, closures=isinstance(config, ClosureConfig))
+    found = select_engine(engine)
     return cast(EngineName, found.name) if isinstance(engine, str) else engine

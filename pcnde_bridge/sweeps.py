@@ -65,16 +65,16 @@ def sweep(
     if not configs or not len(seeds):
         raise InputError("sweep needs at least one configuration and one seed.")
     settings = {name: resolve_config(config) for name, config in configs.items()}
-    engines = {name: same_everywhere(engine, config) for name, config in settings.items()}
+    engine = same_everywhere(engine)
     keys = [(name, int(seed)) for name in settings for seed in seeds]
     tasks = {
-        f"{name}, seed {seed}": FitTask(train, settings[name], engines[name], seed, held_out)
+        f"{name}, seed {seed}": FitTask(train, settings[name], engine, seed, held_out)
         for name, seed in keys
     }
     facts = {
         "held_out": None if held_out is None else held_out.fingerprint(),
         "configs": {
-            name: common_facts("sweep", train, settings[name], engines[name]) for name in settings
+            name: common_facts("sweep", train, settings[name], engine) for name in settings
         },
     }
     outcome = run(

@@ -477,7 +477,7 @@ class _Julia:
 
     def _new_config(self, config: PCNDEConfig | ClosureConfig) -> Any:
         """Julia's copy of the settings, as a TOML text of plain numbers and words."""
-        if config.flow.terms:
+        if isinstance(config, PCNDEConfig) and config.flow.terms:
             raise EngineUnavailableError(
                 "Physics terms beside the flow's network are computed by the JAX engine only; use "
                 "engine='jax'."

@@ -2,6 +2,7 @@
 
 from pcnde_bridge.plots.cases import data_set
 from pcnde_bridge.plots.errors import box_plots, error_matrix, pointwise_errors
+from pcnde_bridge.plots.formulations import landscapes, smoothness
 from pcnde_bridge.plots.prediction import results, time_and_space
 from pcnde_bridge.plots.studies import fourier_effect, noise, pressure_drops
 from pcnde_bridge.plots.training import activations, loss_history
@@ -12,10 +13,12 @@ __all__ = [
     "data_set",
     "error_matrix",
     "fourier_effect",
+    "landscapes",
     "loss_history",
     "noise",
     "pointwise_errors",
     "pressure_drops",
     "results",
+    "smoothness",
     "time_and_space",
 ]

@@ -2,36 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar, cast
 
 from pcnde_bridge.engines import Engine, EngineName
+from pcnde_bridge.tasks import Workers, run
 
 Result = TypeVar("Result")
 
 
 def each(
-    task: Callable[..., Result], *columns: Iterable[Any], executor: Executor | None = None
-) -> Iterator[Result]:
-    """Results of a task for each row of the columns, in their order.
+    function: Callable[..., Result],
+    tasks: Mapping[str, tuple[Any, ...]],
+    executor: Workers | None = None,
+    progress: bool = True,
+) -> list[Result]:
+    """Results of a function for the arguments of each task, in their order.
 
     Parameters
     ----------
-    task : callable
+    function : callable
         A function of a module, so that worker processes can find it.
-    *columns : iterables
-        One for each argument of the task.
-    executor : concurrent.futures.Executor, optional
-        Who runs the tasks; None runs them here.
+    tasks : mapping of str to tuple
+        The arguments, by the task's name.
+    executor, progress
+        As :func:`pcnde_bridge.tasks.run` takes them.
+
+    Raises
+    ------
+    TaskError
+        If a task failed in the end.
     """
-    yield from map(task, *columns) if executor is None else executor.map(task, *columns)
+    calls = {name: (function, arguments) for name, arguments in tasks.items()}
+    return list(run(_call, calls, executor=executor, progress=progress).check().values())
 
 
-def portable(engine: Engine, executor: Executor | None) -> Engine | EngineName:
+def _call(call: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
+    function, arguments = call
+    return function(*arguments)
+
+
+def portable(engine: Engine, executor: Workers | None) -> Engine | EngineName:
     """Return the engine, or for the tasks of an executor its name.
 
     An engine holds compiled functions, which cannot go to another process; each
     process starts one of its own by the name.
     """
-    return engine if executor is None else engine.name  # type: ignore[return-value]
+    return engine if executor is None else cast(EngineName, engine.name)

@@ -7,8 +7,6 @@ fitted again, to the same numbers as in a whole fit with that activation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from itertools import repeat
 from typing import Any, get_args
 
 import numpy as np
@@ -24,6 +22,7 @@ from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
 from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.tasks import Workers
 from pcnde_bridge.training import Trainer, TrainingState, plan
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +38,8 @@ def activation_study(
     *,
     activations: Sequence[Activation] = ACTIVATIONS,
     seeds: Sequence[int] = (0,),
-    executor: Executor | None = None,
+    executor: Workers | None = None,
+    progress: bool = True,
 ) -> pd.DataFrame:
     """Fit the pressure stages of a model with each activation function.
 
@@ -55,8 +55,10 @@ def activation_study(
         Of 'tanh', 'gelu', 'relu', 'sigmoid' and 'swish'.
     seeds : sequence of int
         Of the pressure network's first weights; all activations are fitted with each.
-    executor : concurrent.futures.Executor, optional
+    executor : Executor, or callable that makes one, optional
         Who runs the fits; None runs them here.  The result is the same.
+    progress : bool
+        Show progress on standard error.
 
     Returns
     -------
@@ -83,19 +85,22 @@ def activation_study(
             f"Give at least one seed and activations of {list(get_args(Activation))}, got "
             f"{list(activations)} and the seeds {list(seeds)}."
         )
-    tasks = [(activation, int(seed)) for activation in activations for seed in seeds]
-    rows = each(
-        _fit_and_measure,
-        repeat(portable(model.engine, executor)),
-        [config.replace(temporal_pressure={"activation": name}) for name, _ in tasks],
-        repeat(model.parameters),
-        [seed for _, seed in tasks],
-        repeat(train),
-        repeat(test),
-        executor=executor,
-    )
-    index = pd.MultiIndex.from_tuples(tasks, names=["activation", "seed"])
-    return pd.DataFrame(list(rows), index=index)
+    engine = portable(model.engine, executor)
+    pairs = [(activation, int(seed)) for activation in activations for seed in seeds]
+    tasks = {
+        f"{name}, seed {seed}": (
+            engine,
+            config.replace(temporal_pressure={"activation": name}),
+            model.parameters,
+            seed,
+            train,
+            test,
+        )
+        for name, seed in pairs
+    }
+    rows = each(_fit_and_measure, tasks, executor, progress)
+    index = pd.MultiIndex.from_tuples(pairs, names=["activation", "seed"])
+    return pd.DataFrame(rows, index=index)
 
 
 def fit_pressure(

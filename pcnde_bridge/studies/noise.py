@@ -8,9 +8,7 @@ with x the inflow Q_in(t) or the undeformed area S_u(z).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from itertools import repeat
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -28,6 +26,7 @@ from pcnde_bridge.metrics import VARIABLES
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.tasks import Workers
 
 Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
@@ -101,7 +100,7 @@ def noise_study(
     level: float = 0.05,
     draws: int = 90,
     seed: int = 0,
-    executor: Executor | None = None,
+    executor: Workers | None = None,
 ) -> NoiseStudy:
     """Predict one case many times, each time with other noise in one of its inputs.
 
@@ -120,7 +119,7 @@ def noise_study(
         How many noisy inputs, at least 2.
     seed : int
         Of the noise.
-    executor : concurrent.futures.Executor, optional
+    executor : Executor, or callable that makes one, optional
         Who predicts the draws; None predicts them here.  The result is the same.
 
     Returns
@@ -154,16 +153,13 @@ def noise_study(
     exact = count * size - draws
     inflow, area_undeformed = noisy_inputs(case, noisy, level, draws, seed, exact)
     blocks = [slice(i, i + size) for i in range(0, count * size, size)]
-    solutions = each(
-        _predict,
-        repeat(portable(model.engine, executor)),
-        repeat(model.config),
-        repeat(model.parameters),
-        [inflow[block] for block in blocks],
-        [area_undeformed[block] for block in blocks],
-        repeat(Grid(case.time, case.z, case.period)),
-        executor=executor,
-    )
+    trained = (portable(model.engine, executor), model.config, model.parameters)
+    grid = Grid(case.time, case.z, case.period)
+    tasks = {
+        f"draws from {block.start}": (*trained, inflow[block], area_undeformed[block], grid)
+        for block in blocks
+    }
+    solutions = each(_predict, tasks, executor, progress=False)
     drawn = {
         name: np.concatenate(parts)
         for name, parts in zip(VARIABLES, zip(*solutions, strict=True), strict=True)

@@ -205,7 +205,8 @@ class JaxStage(Generic[InputsT]):
         return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
 
     def _losses(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
-        return jax.vmap(lambda vector: self._loss(vector, *data, config))(parameters)
+        loss = partial(self._loss, config=config)
+        return jax.vmap(lambda vector: loss(vector, *data))(parameters)
 
 
 def in_batches(

@@ -261,9 +261,7 @@ def _flow(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) 
     def one(vessel: VesselModes, inflow: jax.Array) -> jax.Array:
         vectors = outlet, wall, parameters
         at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1]
-        coupled = couple(
-            *vectors, jnp.zeros(()), *at_outlet, inflow, period, config.correction
-        )
+        coupled = couple(*vectors, jnp.zeros(()), *at_outlet, inflow, period, config.correction)
         in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
         return jnp.stack(in_time(coupled)[0]).T @ in_z[:, points]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots import TRUTH
+from pcnde_bridge.plots.style import OTHER, PREDICTED, TRUTH
 from pcnde_bridge.studies.formulations import FormulationStudy
 from pcnde_bridge.studies.landscapes import LandscapeStudy, Moment
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _STYLES = {
     "3D": (TRUTH, "o", "3D, averaged"),
-    "spatial": ("#0072B2", "-", "in space, $f(Q, S)$"),
-    "temporal": ("#009E73", "-", "in time, $f(Q)$"),
+    "spatial": (PREDICTED, "-", "in space, $f(Q, S)$"),
+    "temporal": (OTHER, "-", "in time, $f(Q)$"),
     "temporal_with_time": ("#CC79A7", "--", "in time, $f(Q, t)$"),
 }
 
