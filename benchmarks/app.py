@@ -94,6 +94,7 @@ def browser() -> Iterator[Any]:
             options.add_argument(option)
         driver = webdriver.Chrome(options=options, service=Service(found[1]))
         try:
+            driver.set_script_timeout(_TIMEOUT)
             resize(driver, *WINDOW)
             yield driver
         finally:
