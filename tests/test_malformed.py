@@ -172,8 +172,8 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
         ),
         "vtp": Reader("centreline.vtp", read_simvascular, convert("simvascular")),
         "sv1d": Reader(
-            "sv1d", lambda path: read_sv1d(path / "solver.in"),
-            lambda bad, out: convert("sv1d")(bad / "solver.in", out),
+            "sv1d", lambda path: read_sv1d(path / "solver.in", period=1.0),
+            lambda bad, out: convert("sv1d", "--period", 1)(bad / "solver.in", out),
         ),
         "csv": Reader("tidy.csv", read_csv, convert("csv")),
         "hdf5": Reader("cases.h5", read_hdf5, convert("hdf5")),
