@@ -23,6 +23,7 @@ from pcnde_bridge.errors import (
     EngineUnavailableError,
     FileError,
     InputError,
+    MissingExtraError,
     PCNDEError,
     SolveError,
 )
@@ -44,6 +45,7 @@ __all__ = [
     "EngineUnavailableError",
     "FileError",
     "InputError",
+    "MissingExtraError",
     "OutsideTrainingWarning",
     "PCNDEConfig",
     "PCNDEError",

@@ -54,6 +54,11 @@ def good(tmp_path_factory, small_cases, small_config):
     few = small_cases.select([0, 1, 5])
     few.save(folder / "cases.npz")
     few.save(folder / "cases.h5")
+    with h5py.File(folder / "foreign.h5", "w") as file:  # the older kind, without checksums
+        for name in (*FIELDS, "area_undeformed", "time", "z"):
+            file.create_dataset(name, data=getattr(few, name), compression="gzip")
+        file["labels/geometry"], file["labels/waveform"] = [1, 1, 2], [0, 1, 0]
+        file["labels/patient"] = ["a", "b", "c"]
     engine = select_engine("jax")
     grid = Grid(few.time, few.z, few.period)
     parameters = initial_parameters(small_config, few.n_times, few.n_points, 0)
@@ -177,6 +182,7 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
         ),
         "csv": Reader("tidy.csv", read_csv, convert("csv")),
         "hdf5": Reader("cases.h5", read_hdf5, convert("hdf5")),
+        "foreign hdf5": Reader("foreign.h5", read_hdf5, None),
         "weights": Reader("weights", read_published_weights, None),
         "waveform": Reader("waveform.csv", Waveform.from_csv, None),
     }  # fmt: skip
@@ -685,7 +691,7 @@ def edited(whole, changes):
 INNER = {"authors": NPY, "weights": WEIGHTS["flow"], "sv1d": "solver.in"}
 KINDS = [
     "cases.npz", "cases.h5", "model", "checkpoint", "config", "split", "inflow", "area", "vtp",
-    "sv1d", "sv1d table", "csv", "hdf5", "weights", "authors", "waveform",
+    "sv1d", "sv1d table", "csv", "hdf5", "foreign hdf5", "weights", "authors", "waveform",
 ]  # fmt: skip
 
 
@@ -696,7 +702,7 @@ KINDS = [
 def test_fuzz(kind, good, readers, tmp_path_factory, small_cases, small_config, changes):
     """Whatever the bytes, the file is read or refused by an error of our family."""
     inner = "m_S0_flow.dat" if kind == "sv1d table" else INNER.get(kind)
-    reader = readers[kind.partition(" ")[0]]
+    reader = readers["sv1d" if kind == "sv1d table" else kind]
     folder = tmp_path_factory.getbasetemp() / "fuzz"
     path = folder / reader.file
     if not path.exists():
