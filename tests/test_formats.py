@@ -211,6 +211,10 @@ def test_what_is_not_periodic_is_refused(vessel):
     rising = replaced(long, pressure=long.pressure * (1 + time[:, None]))
     with pytest.raises(InputError, match=r"is not periodic.*simulate more cycles"):
         to_cases([rising], period=1.0)
+    half = at_times(vessel, np.arange(130) / 100)
+    with pytest.raises(InputError, match=r"is not one cycle: .* begins at .*--period"):
+        to_cases([half])
+    assert to_cases([half], period=1.0).n_times == 100
     with pytest.raises(InputError, match=r"covers 0\.95 s, less than the period of 2 s"):
         to_cases([vessel], period=2.0)
 
