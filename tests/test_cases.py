@@ -552,46 +552,6 @@ def test_every_damaged_byte_is_noticed(small_cases, tmp_path, suffix):
             assert Cases.load(path) == saved
 
 
-def test_foreign_archives(tmp_path):
-    path = tmp_path / "data.npz"
-    np.savez(path, a=np.ones(3))
-    with pytest.raises(FileError, match="is not a data set saved by this package"):
-        Cases.load(path)
-    np.savez(path, format=np.array([{}], dtype=object))
-    with pytest.raises(FileError, match="truncated or damaged"):
-        Cases.load(path)
-    with h5py.File(tmp_path / "data.h5", "w") as file:
-        file["a"] = 1
-    with pytest.raises(FileError, match="is not a data set saved by this package"):
-        Cases.load(tmp_path / "data.h5")
-
-
-def edited_npz(path, **changes):
-    with np.load(path) as archive:
-        contents = dict(archive) | changes
-    np.savez(path, **{name: value for name, value in contents.items() if value is not None})
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"format_version": 2}, "has format version 2, newer than 1, .*; update the package"),
-        ({"flow": None}, "is incomplete: it lacks flow"),
-        ({"fingerprint": None, "period": None}, "is incomplete: it lacks period, fingerprint"),
-        ({"flow": np.full((12, 20, 21), np.nan)}, r"holds data that are not usable: flow\[0, 0, 0"),
-        ({"labels/waveform": None}, "not usable: labels lacks the column 'waveform'"),
-        ({"period": np.ones(2)}, "holds data that are not usable"),
-        ({"flow": np.ones((12, 20, 21))}, "was changed after it was saved"),
-    ],
-)
-def test_edited_files(small_cases, tmp_path, changes, message):
-    path = tmp_path / "data.npz"
-    small_cases.save(path)
-    edited_npz(path, **changes)
-    with pytest.raises(FileError, match=message):
-        Cases.load(path)
-
-
 def test_newer_h5(small_cases, tmp_path, monkeypatch):
     path = tmp_path / "data.h5"
     monkeypatch.setattr(cases_module, "FORMAT_VERSION", 7)

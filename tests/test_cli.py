@@ -193,7 +193,6 @@ def test_fit_refuses_bad_use_before_it_trains(folder, fit_options, tmp_path, run
 
     monkeypatch.setattr(PCNDE, "fit", train)
     cases, out = folder / "cases.npz", tmp_path / "m"
-    settings = tmp_path / "settings.json"
 
     def refused(*arguments):
         code, printed, err = run("fit", *arguments)
@@ -208,22 +207,6 @@ def test_fit_refuses_bad_use_before_it_trains(folder, fit_options, tmp_path, run
     assert "--engine" in refused(cases, "--engine", "torch", "--out", out)
     assert "--out" in refused(cases)
     assert "DATA" in refused("--out", out)
-    for text, message in (
-        ("{", "Cannot read settings"),
-        ("[1]", "must hold a JSON object"),
-        ('{"flow": {"epochs": 0}}', "FlowStage.epochs must be positive"),
-        ('{"flows": {}}', "no setting 'flows'"),
-        ('{"self": {}}', "no setting 'self'"),
-        ('{"flow": 3}', "PCNDEConfig.flow must be"),
-        ("[" * 100_000, "settings"),
-    ):
-        settings.write_text(text)
-        assert message in refused(cases, "--config", settings, "--out", out)
-    settings.write_bytes(b"\xff\xfe\x00")
-    assert "Cannot read settings" in refused(cases, "--config", settings, "--out", out)
-    for text in ("{", "[]", '{"train": [[1, 1]]}', '{"train": [[1, 1]], "test": [[9, 9]]}'):
-        settings.write_text(text)
-        assert "settings.json" in refused(cases, "--split", settings, "--out", out)
     for bad in (tmp_path, tmp_path / "nowhere" / "m"):
         assert "Cannot write" in refused(cases, *fit_options, "--out", bad)
 
@@ -387,12 +370,8 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     assert "Cannot write" in refused(out="nowhere/result.csv")
     assert list(tmp_path.iterdir()) == []
 
-    text = (folder / "area.csv").read_text()
     bad = tmp_path / "bad.csv"
-    bad.write_text("\n".join(text.splitlines()[:-1]))
-    assert "has 20 rows, but the model works on 21" in refused(area=bad)
-    bad.write_text(text.replace(text.splitlines()[4].split(",")[1], "x", 1))
-    assert "not a number" in refused(area=bad)
+    text = (folder / "area.csv").read_text()
     lines = text.splitlines()
     lines[6] = lines[6].split(",")[0] + ",-0.1"
     bad.write_text("\n".join(lines))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -210,6 +211,10 @@ def test_what_is_not_periodic_is_refused(vessel):
     rising = replaced(long, pressure=long.pressure * (1 + time[:, None]))
     with pytest.raises(InputError, match=r"is not periodic.*simulate more cycles"):
         to_cases([rising], period=1.0)
+    half = at_times(vessel, np.arange(130) / 100)
+    with pytest.raises(InputError, match=r"is not one cycle: .* begins at .*--period"):
+        to_cases([half])
+    assert to_cases([half], period=1.0).n_times == 100
     with pytest.raises(InputError, match=r"covers 0\.95 s, less than the period of 2 s"):
         to_cases([vessel], period=2.0)
 
@@ -506,13 +511,28 @@ def test_reads_a_chain_of_segments(straight, tmp_path):
     np.testing.assert_allclose(part.flow, found.flow[:, :, 8:])
 
 
+def test_reads_what_the_solver_wrote():
+    """Text that svOneDSolver made of ``tests/data/sv1d/tube.in``."""
+    path = Path(__file__).with_name("data") / "sv1d" / "tube.in"
+    with pytest.raises(InputError, match=r"start from rest: pass the period.*--period"):
+        read_sv1d(path)
+    found = read_sv1d(path, period=1.0)
+    assert (found.n_times, found.n_points, found.period) == (20, 11, 1.0)
+    np.testing.assert_allclose(found.z, np.linspace(0, 4, 11))
+    phase = 2 * np.pi * found.time
+    inflow = 1.3 + 0.4 * np.sin(phase) + 0.1 * np.cos(2 * phase)
+    np.testing.assert_allclose(found.inflow[0], inflow, rtol=5e-3)
+    np.testing.assert_allclose(found.pressure[0, :, -1], 1e5 * found.flow[0, :, -1], rtol=0.02)
+    np.testing.assert_allclose(found.area_undeformed[0, [0, 6, 10]], [0.125, 0.125, 0.11])
+
+
 def test_a_network_needs_a_choice(straight, tmp_path):
     path = sv1d(tmp_path, straight, nodes=[(0, 1), (1, 2), (1, 3)])
     with pytest.raises(InputError, match=r"Group2_Seg0 does not begin where Group1_Seg0 ends"):
-        read_sv1d(path)
-    assert read_sv1d(path, segments=["Group0_Seg0", "Group1_Seg0"]).n_points == 15
+        read_sv1d(path, period=1.0)
+    assert read_sv1d(path, segments=["Group0_Seg0", "Group1_Seg0"], period=1.0).n_points == 15
     with pytest.raises(InputError, match=r"has no segments \['Group7'\]"):
-        read_sv1d(path, segments=["Group7"])
+        read_sv1d(path, segments=["Group7"], period=1.0)
 
 
 def test_results_that_do_not_fit_the_input_file(straight, tmp_path):
@@ -521,13 +541,13 @@ def test_results_that_do_not_fit_the_input_file(straight, tmp_path):
     whole = table.read_text()
     table.write_text("\n".join(whole.splitlines()[:-1]))
     with pytest.raises(FileError, match=r"area\.dat has 6 rows, .* segment 7 nodes: it is trunc"):
-        read_sv1d(path)
+        read_sv1d(path, period=1.0)
     table.write_text("\n".join(line.rsplit(" ", 1)[0] for line in whole.splitlines()))
     with pytest.raises(FileError, match="has 19 time steps, the segment before 20"):
-        read_sv1d(path)
+        read_sv1d(path, period=1.0)
     table.unlink()
     with pytest.raises(DataNotFoundError, match="output TEXT"):
-        read_sv1d(path)
+        read_sv1d(path, period=1.0)
 
 
 # ---- CSV and HDF5

@@ -54,6 +54,11 @@ def good(tmp_path_factory, small_cases, small_config):
     few = small_cases.select([0, 1, 5])
     few.save(folder / "cases.npz")
     few.save(folder / "cases.h5")
+    with h5py.File(folder / "foreign.h5", "w") as file:  # the older kind, without checksums
+        for name in (*FIELDS, "area_undeformed", "time", "z"):
+            file.create_dataset(name, data=getattr(few, name), compression="gzip")
+        file["labels/geometry"], file["labels/waveform"] = [1, 1, 2], [0, 1, 0]
+        file["labels/patient"] = ["a", "b", "c"]
     engine = select_engine("jax")
     grid = Grid(few.time, few.z, few.period)
     parameters = initial_parameters(small_config, few.n_times, few.n_points, 0)
@@ -172,11 +177,12 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
         ),
         "vtp": Reader("centreline.vtp", read_simvascular, convert("simvascular")),
         "sv1d": Reader(
-            "sv1d", lambda path: read_sv1d(path / "solver.in"),
-            lambda bad, out: convert("sv1d")(bad / "solver.in", out),
+            "sv1d", lambda path: read_sv1d(path / "solver.in", period=1.0),
+            lambda bad, out: convert("sv1d", "--period", 1)(bad / "solver.in", out),
         ),
         "csv": Reader("tidy.csv", read_csv, convert("csv")),
         "hdf5": Reader("cases.h5", read_hdf5, convert("hdf5")),
+        "foreign hdf5": Reader("foreign.h5", read_hdf5, None),
         "weights": Reader("weights", read_published_weights, None),
         "waveform": Reader("waveform.csv", Waveform.from_csv, None),
     }  # fmt: skip
@@ -377,6 +383,13 @@ TABLE = [
     ("cases.npz", "absolute path", member("/tmp/evil.npy", npy_header((0,))), FileError,
      "leads out of it"),
     ("cases.npz", "claims 8 PB", member("huge.npy", npy_header((1 << 50,))), FileError, "damaged"),
+    ("cases.npz", "of someone else, no format", npz(format=None), FileError,
+     "not a data set saved by this"),
+    ("cases.npz", "no period", npz(period=None, fingerprint=None), FileError,
+     "incomplete: it lacks period, fingerprint"),
+    ("cases.npz", "two periods", npz(period=np.ones(2)), FileError, "data that are not usable"),
+    ("cases.npz", "no waveforms", npz(**{"labels/waveform": None}), FileError,
+     "labels lacks the column 'waveform'"),
     ("cases.h5", "empty", replaced_by(b""), FileError, "is not an HDF5 file"),
     ("cases.h5", "an .npz", replaced_by(b"PK\x03\x04"), FileError, "is not an HDF5 file"),
     ("cases.h5", "half", cut(0.5), FileError, "truncated or damaged"),
@@ -423,6 +436,11 @@ TABLE = [
     ("config", "too deep", replaced_by(DEEP), REFUSED, "settings|not JSON"),
     ("config", "a list", replaced_by("[]"), InputError, "mapping of groups|JSON object"),
     ("config", "unknown name", replaced_by('{"flows": {}}'), InputError, "no setting 'flows'"),
+    ("config", "no such setting: self", replaced_by('{"self": {}}'), InputError,
+     "no setting 'self'"),
+    ("config", "a number for a group", replaced_by('{"flow": 3}'), InputError,
+     r"PCNDEConfig\.flow must be"),
+    ("config", "not UTF-8", replaced_by(b"\xff\xfe\x00"), REFUSED, "settings|not JSON"),
     ("config", "negative", replaced_by('{"flow": {"epochs": -1}}'), InputError, "is negative"),
     ("config", "infinite", replaced_by('{"flow": {"rtol": 1e999}}'), InputError, "be finite"),
     ("config", "a number's text", replaced_by('{"batch_size": "12"}'), InputError, "must be int"),
@@ -673,7 +691,7 @@ def edited(whole, changes):
 INNER = {"authors": NPY, "weights": WEIGHTS["flow"], "sv1d": "solver.in"}
 KINDS = [
     "cases.npz", "cases.h5", "model", "checkpoint", "config", "split", "inflow", "area", "vtp",
-    "sv1d", "sv1d table", "csv", "hdf5", "weights", "authors", "waveform",
+    "sv1d", "sv1d table", "csv", "hdf5", "foreign hdf5", "weights", "authors", "waveform",
 ]  # fmt: skip
 
 
@@ -684,7 +702,7 @@ KINDS = [
 def test_fuzz(kind, good, readers, tmp_path_factory, small_cases, small_config, changes):
     """Whatever the bytes, the file is read or refused by an error of our family."""
     inner = "m_S0_flow.dat" if kind == "sv1d table" else INNER.get(kind)
-    reader = readers[kind.partition(" ")[0]]
+    reader = readers["sv1d" if kind == "sv1d table" else kind]
     folder = tmp_path_factory.getbasetemp() / "fuzz"
     path = folder / reader.file
     if not path.exists():

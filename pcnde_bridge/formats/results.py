@@ -67,6 +67,7 @@ _UNIFORM = 1e-4  # of a step, as in Cases
 _SAME = 1e-6
 _SAME_LENGTH = 1e-3
 _CLOSED = 0.05
+_JUMP = 3.0
 
 
 class CaseOptions(TypedDict, total=False):
@@ -443,6 +444,13 @@ def _one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
             raise InputError(
                 f"{vessel.name}: the last instant repeats the first, one period later. Pass "
                 f"period={span:g} (--period {span:g}), which leaves it out."
+            )
+        inflow = vessel.flow[:, 0]
+        if abs(inflow[0] - inflow[-1]) > _JUMP * np.abs(np.diff(inflow)).max():
+            raise InputError(
+                f"{vessel.name} is not one cycle: the flow at its inlet ends at {inflow[-1]:.4g} "
+                f"mL/s and begins at {inflow[0]:.4g}, which is no step of a smooth wave. Pass the "
+                "period (--period)."
             )
         return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
     if not (isinstance(cycle, int | float | np.number) and math.isfinite(cycle) and cycle > 0):

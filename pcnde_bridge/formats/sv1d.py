@@ -53,8 +53,8 @@ def read_sv1d(
         where the one before ends.  By default all, if they are such a chain.
     **options
         ``period``, ``units``, ``flip``, ``instants``, ``points`` and ``labels``, see
-        :func:`pcnde_bridge.formats.results.to_cases`.  Solutions start from rest: give
-        the period, so that their last cycle is taken.
+        :func:`pcnde_bridge.formats.results.to_cases`.  The period is needed: solutions
+        start from rest, and only their last cycle is taken.
 
     Returns
     -------
@@ -68,8 +68,14 @@ def read_sv1d(
     FileError
         If a file is not of this format, or damaged.
     InputError
-        If the segments are no chain, or units, flow or time steps are doubtful.
+        If the segments are no chain, the period is missing, or units, flow or time
+        steps are doubtful.
     """
+    if options.get("period") is None:
+        raise InputError(
+            "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
+            "(--period), in s, and their last cycle is taken."
+        )
     given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     return to_cases([_read_vessel(Path(path), segments) for path in given], **options)
 
