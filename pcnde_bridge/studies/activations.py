@@ -6,6 +6,7 @@ fitted again, to the same numbers as in a whole fit with that activation.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from itertools import repeat
@@ -27,6 +28,8 @@ from pcnde_bridge.studies._each import each, portable
 from pcnde_bridge.training import Trainer, TrainingState, plan
 
 Array = npt.NDArray[np.float64]
+
+_log = logging.getLogger("pcnde_bridge")
 
 ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
 """The paper's, in its order."""
@@ -84,7 +87,7 @@ def activation_study(
             f"{list(activations)} and the seeds {list(seeds)}."
         )
     tasks = [(activation, int(seed)) for activation in activations for seed in seeds]
-    rows = each(
+    results = each(
         _fit_and_measure,
         repeat(portable(model.engine, executor)),
         [config.replace(temporal_pressure={"activation": name}) for name, _ in tasks],
@@ -94,8 +97,19 @@ def activation_study(
         repeat(test),
         executor=executor,
     )
+    rows = []
+    for (activation, seed), row in zip(tasks, results, strict=True):
+        rows.append(row)
+        _log.info(
+            "Fit %d of %d, %s with seed %d: training error of the pressure %.4f.",
+            len(rows),
+            len(tasks),
+            activation,
+            seed,
+            row["train"],
+        )
     index = pd.MultiIndex.from_tuples(tasks, names=["activation", "seed"])
-    return pd.DataFrame(list(rows), index=index)
+    return pd.DataFrame(rows, index=index)
 
 
 def fit_pressure(
