@@ -64,7 +64,7 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
         axis.imshow(percent, cmap=ERRORS, vmin=0, vmax=largest, aspect="equal")
         for (row, column), value in np.ndenumerate(percent):
             if np.isfinite(value):
-                colour = "white" if value > 0.55 * largest else "black"
+                colour = "white" if value > 0.62 * largest else "black"
                 axis.text(
                     column, row, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=6
                 )
