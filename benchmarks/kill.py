@@ -1,7 +1,8 @@
 """A fit that is killed again and again: what is left on the disk, and what comes of it.
 
 Run ``python benchmarks/kill.py [--presets fast paper physics] [--times 20] [--seed 0]
-[--engine jax]``.  The engine ``toy`` is that of the tests, all in numpy: for a busy machine.  For each preset, in little, on synthetic cases:
+[--engine jax]``.  The engine ``toy`` is that of the tests, all in numpy, for a busy machine.
+For each preset, in little, on synthetic cases:
 
 1. a fit without interruption, in a process of its own;
 2. the same fit, killed (SIGKILL) at random moments ``--times`` times.  After each kill

@@ -169,12 +169,14 @@ def cross_validate_(
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
     variables = [name for name in ("flow", "area", "pressure") if name in table]
-    errors = table[variables]
-    rows = [(f"{label} {value}", row) for (label, value), row in errors.iterrows()]
-    rows += [(f"mean, {label}", row) for label, row in errors.groupby("label").mean().iterrows()]
-    _print_errors({name: {k: float(row[k]) for k in variables} for name, row in rows})
-    for (label, value), why in table["failure"].dropna().items():
-        _say(f"{label} {value}: {why}")
+    names = [" ".join(map(str, key)) for key in table.index.to_list()]
+    errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
+    for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
+        errors[f"mean, {label}"] = mean
+    _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
+    for name, why in zip(names, table["failure"], strict=True):
+        if isinstance(why, str):
+            _say(f"{name}: {why}")
 
 
 @app.command()
