@@ -1,7 +1,8 @@
 """A fit that is killed again and again: what is left on the disk, and what comes of it.
 
 Run ``python benchmarks/kill.py [--presets fast paper physics] [--times 20] [--seed 0]
-[--engine jax]``.  For each preset, in little, on synthetic cases:
+[--engine jax]``.  The engine ``toy`` is that of the tests, all in numpy, for a busy machine.
+For each preset, in little, on synthetic cases:
 
 1. a fit without interruption, in a process of its own;
 2. the same fit, killed (SIGKILL) at random moments ``--times`` times.  After each kill
@@ -42,14 +43,21 @@ LITTLE: dict[str, PCNDEConfig | ClosureConfig] = {
     "physics": PHYSICS.replace(correction={"evaluations": 15}),
 }
 
+TESTS = Path(__file__).parents[1] / "tests"
+
 FIT = """
-import sys
+import sys, time
 from pcnde_bridge import PCNDE, Cases, ClosureConfig, PCNDEConfig
-folder, kind, engine, checkpoint, out = sys.argv[1:]
+folder, kind, engine, checkpoint, out, tests = sys.argv[1:]
+progress = False
+if engine == "toy":
+    sys.path.insert(0, tests)
+    from conftest import ToyEngine
+    engine, progress = ToyEngine(), lambda record: time.sleep(0.01)
 read = {"ClosureConfig": ClosureConfig, "PCNDEConfig": PCNDEConfig}[kind].from_json
 config = read(open(folder + "/config.json").read())
 cases = Cases.load(folder + "/cases.npz")
-PCNDE.fit(cases, config, engine, checkpoint=checkpoint, progress=False).save(out)
+PCNDE.fit(cases, config, engine, checkpoint=checkpoint, progress=progress).save(out)
 """
 
 
@@ -79,7 +87,7 @@ def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: ran
     checkpoint, out = folder / "run.checkpoint", folder / "model.npz"
 
     def start(checkpoint: Path, out: Path) -> subprocess.Popen[bytes]:
-        arguments = [str(folder), kind, engine, str(checkpoint), str(out)]
+        arguments = [str(folder), kind, engine, str(checkpoint), str(out), str(TESTS)]
         # What is compiled is kept, so that more of the kills are in the training.
         kept = {
             "JAX_COMPILATION_CACHE_DIR": str(folder / "compiled"),

@@ -40,7 +40,7 @@ def started(kind: str, workers: int) -> Iterator[Executor]:
     os.environ["NPROC"] = "1"
     with (
         LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as cluster,
         Client(cluster) as client,
     ):

@@ -164,8 +164,6 @@ def cross_validate_(
     csv: Annotated[Path | None, typer.Option("--csv", help="Also write the table.")] = None,
 ) -> None:
     """Print errors on each waveform and geometry left out of the training cases."""
-    import pandas as pd
-
     from pcnde_bridge.cross_validation import cross_validate
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.tasks import processes
@@ -184,13 +182,14 @@ def cross_validate_(
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
     variables = [name for name in ("flow", "area", "pressure") if name in table]
-    errors = table[variables]
-    errors = errors.set_axis([f"{label} {value}" for label, value in table.index])
-    means = table[variables].groupby("label").mean().rename(index=lambda label: f"mean, {label}")
-    together = pd.concat([errors, means])
-    _print_errors({str(name): dict(row) for name, row in together.astype(object).iterrows()})
-    for name, why in table["failure"].set_axis(errors.index).dropna().items():
-        _say(f"{name}: {why}")
+    names = [" ".join(map(str, key)) for key in table.index.to_list()]
+    errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
+    for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
+        errors[f"mean, {label}"] = mean
+    _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
+    for name, why in zip(names, table["failure"], strict=True):
+        if isinstance(why, str):
+            _say(f"{name}: {why}")
 
 
 @app.command()

@@ -57,7 +57,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         config = config_from(first["config"])
         preset, changes = nearest_preset(config)
         found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
-        found["provenance"] = facts.get("provenance", {})
+        found["provenance"] = dict(facts.get("provenance", {}))
         if found["kind"] == "checkpoint":
             vectors = len(facts.get("vectors", ()))
             found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
@@ -71,7 +71,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
             }
         if "uncertainty_members" in arrays:
             found["uncertainty"] = "fits that left out parts of the training cases"
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise FileError(f"{path} is not a whole {found['kind']}: {error}.") from error
     return found
 

@@ -19,6 +19,7 @@ from pcnde_bridge.engines.julia import JuliaEngine, julia_status
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.inference import undeformed
 from pcnde_bridge.metrics import relative_error
+from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import STAGES, initial_parameters
 from pcnde_bridge.published_weights import read_published_weights
 
@@ -255,3 +256,35 @@ def test_published_weights_predict_the_same(
     for name in ("flow", "area", "pressure"):
         found, expected = getattr(by_julia, name), getattr(by_jax, name)
         assert relative_error(found, expected) < agreement, name
+
+
+def test_a_run_changes_engines_on_its_way(
+    engines, small_cases, small_config, small_split, small_model, tmp_path, caplog
+):
+    """JAX begins, Julia goes on from its checkpoint, and JAX ends the run."""
+    julia, jax = engines
+    cases, path = small_cases.split(small_split).train, tmp_path / "run"
+
+    def stop_after(count):
+        def on_record(_):
+            nonlocal count
+            count -= 1
+            if count == 0:
+                raise KeyboardInterrupt
+
+        return on_record
+
+    for engine in (jax, julia):
+        with pytest.raises(KeyboardInterrupt):
+            PCNDE.fit(cases, small_config, engine, checkpoint=path, progress=stop_after(16))
+    model = PCNDE.fit(cases, small_config, jax, checkpoint=path, progress=False)
+    changes = [m for m in caplog.messages if "not bit for bit" in m]
+    assert len(changes) == 2
+    assert "written with the jax engine and continues with julia" in changes[0]
+    assert "written with the julia engine and continues with jax" in changes[1]
+    steps = ["stage", "epoch", "batch", "iteration"]
+    assert model.history[steps].equals(small_model.history[steps])
+    assert model.parameters != small_model.parameters
+    mine, theirs = model.predict(cases).variables(), small_model.predict(cases).variables()
+    for name, values in theirs.items():
+        np.testing.assert_allclose(mine[name], values, rtol=1e-4)

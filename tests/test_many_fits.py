@@ -334,3 +334,108 @@ def test_info_on_the_command_line(ensemble, tmp_path, run_pcnde):
     code, _, err = run_pcnde("info", path)
     assert code == 2
     assert "not a pcnde_bridge model but a 'something' file" in err
+
+
+@pytest.fixture
+def commands(small_cases, config, engine, tmp_path, monkeypatch, run_pcnde):
+    """Run the command line with an engine that compiles nothing, in this process."""
+    from pcnde_bridge import fits, model, tasks
+
+    for module in (fits, model):
+        monkeypatch.setattr(module, "select_engine", lambda *_, **__: engine)
+    monkeypatch.setattr(tasks, "processes", lambda workers: None)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(engine.flow, "fits", [])
+    small_cases.save("cases.npz")
+    (tmp_path / "config.json").write_text(config.to_json())
+    options = ("--split", "none", "--config", "config.json")
+    return lambda name, *more: run_pcnde(name, "cases.npz", *options, *more)
+
+
+def interrupt_at(engine, monkeypatch, number):
+    """Have Ctrl-C come in the given fit of the flow."""
+    fit = engine.flow.fit
+
+    def interrupted(*args):
+        if len(engine.flow.fits) == number:
+            engine.flow.fits.append(None)
+            raise KeyboardInterrupt
+        return fit(*args)
+
+    monkeypatch.setattr(engine.flow, "fit", interrupted)
+
+
+def test_an_ensemble_on_the_command_line(
+    commands, small_cases, config, engine, run_pcnde, tmp_path, monkeypatch
+):
+    interrupt_at(engine, monkeypatch, 20)
+    fit = ("fit", "--out", "e.npz", "--members", "2", "--workers", "2")
+    code, _, err = commands(*fit)
+    assert code == 130
+    assert "The finished fits are in e.npz.fits: run the same command again" in err
+    finished = len(list((tmp_path / "e.npz.fits").iterdir()))
+    assert 0 < finished < 2 + 3 * 2
+    before = len(engine.flow.fits)
+    code, printed, err = commands(*fit)
+    assert code == 0
+    assert "Continuing with the finished fits in e.npz.fits" in err
+    assert "Saved e.npz" in printed
+    taken = len(engine.flow.fits) - before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cases.npz", "config.json", "e.npz"]
+    before = len(engine.flow.fits)
+    whole = Ensemble.fit(small_cases, config, engine, members=2, progress=False)
+    total = len(engine.flow.fits) - before
+    assert total - 20 <= taken < total  # what was finished is not done again
+    assert same(Ensemble.load("e.npz", engine), whole)
+    assert "pcnde fit cases.npz" in describe("e.npz")["provenance"]["command"]
+
+    assert run_pcnde("evaluate", "e.npz", "cases.npz", "--split", "none")[0] == 0
+    for name, axis, values in (
+        ("time", small_cases.time, small_cases.inflow[0]),
+        ("z", small_cases.z, small_cases.area_undeformed[0]),
+    ):
+        pd.DataFrame({name: axis, "a": values}).to_csv(f"{name}.csv", index=False)
+    code, _, _ = run_pcnde(
+        "predict", "e.npz", "--inflow", "time.csv", "--area", "z.csv", "--out", "p.csv"
+    )
+    assert code == 0
+    frame = pd.read_csv("p.csv")
+    expected = whole.predict(small_cases.select([0])).to_frame()
+    np.testing.assert_allclose(frame["pressure_deviation"], expected["pressure_deviation"])
+
+
+def test_options_of_fit_that_do_not_go_together(commands):
+    for more, message in (
+        (("--workers", "2"), "A single fit has one process"),
+        (("--members", "2", "--checkpoint", "c"), "leave --checkpoint out"),
+    ):
+        code, _, err = commands("fit", "--out", "m.npz", *more)
+        assert code == 2
+        assert message in err
+
+
+def test_cross_validation_on_the_command_line(commands, small_cases, config, engine):
+    code, printed, _ = commands("cross-validate", "--csv", "table.csv", "--folder", "kept")
+    assert code == 0
+    table = cross_validate(small_cases, config, engine, progress=False)
+    assert f"{table.loc[('geometry', 2), 'pressure']:.4f}" in printed
+    assert "mean, waveform" in printed
+    written = pd.read_csv("table.csv", index_col=["label", "value"])
+    np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
+
+
+def test_bench_continues_its_training(commands, engine, tmp_path, monkeypatch):
+    from pcnde_bridge import baselines
+
+    monkeypatch.setattr(baselines, "standard_baselines", dict)
+    interrupt_at(engine, monkeypatch, 4)
+    code, _, err = commands("bench")
+    assert code == 130
+    (state,) = tmp_path.glob("bench-*.checkpoint")
+    assert state.name in err
+    assert describe(state)["finished"] > 0
+    code, printed, err = commands("bench", "--json", "rows.json")
+    assert code == 0
+    assert f"Continuing from {state.name}" in err
+    assert "PCNDE (toy)" in printed
+    assert list(tmp_path.glob("bench-*")) == []

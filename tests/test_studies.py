@@ -171,12 +171,11 @@ def test_activations_equal_whole_fits(small_cases, toy_config, toy_engine, train
             assert study.loc[(activation, 1), name] == error
 
 
-def test_activations_without_test_cases_and_with_seeds(toy_model, small_cases, caplog):
-    caplog.set_level("INFO", "pcnde_bridge")
+def test_activations_without_test_cases_and_with_seeds(toy_model, small_cases, capsys):
     study = activation_study(toy_model, small_cases, activations=["relu"], seeds=[0, 1])
     assert list(study.columns) == ["train", "train_explained"]
     assert study["train"].nunique() == 2
-    assert "Fit 2 of 2, relu with seed 1: training error of the pressure" in caplog.text
+    assert "relu, seed 1" in capsys.readouterr().err
 
 
 def test_only_the_pressure_is_fitted_again(toy_model, small_cases, toy_engine):
