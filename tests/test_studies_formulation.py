@@ -288,3 +288,8 @@ def test_figures_show_what_the_studies_hold(study, formulations):
         figures.smoothness(formulations, "test", case=2)
     mesh = figures.landscapes(study).axes[0].collections[0]
     np.testing.assert_array_equal(mesh.get_array(), study.landscape("network", "initial").losses.T)
+
+
+def test_an_unknown_term_is_declined():
+    with pytest.raises(InputError, match=r"terms\[1\] must be one of .*friction"):
+        PAPER.replace(flow={"terms": ("friction", "gravity")})
