@@ -5,7 +5,7 @@ Colours are Okabe and Ito's, which colour-blind readers tell apart.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -80,8 +80,8 @@ def smoothness(
         # The truth of the area is the data's, not what continuity makes of the true flow.
         area = cases.area if name == "3D" else found.continuity_area
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
-            looks = {"ms": 2.5, "mfc": "none"} if name == "3D" else {"lw": 1.5}
-            over = dict(color=colour, label=label, **looks)
+            over: dict[str, Any] = {"color": colour, "label": label, "lw": 1.5}
+            over |= {"ms": 2.5, "mfc": "none", "mew": 0.6} if name == "3D" else {}
             axes[0, column].plot(cases.z, values[case, t_index], style, **over)
             axes[1, column].plot(cases.time, values[case, :, z_index], style, **over)
     labels = ("flow Q (mL/s)", "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)")
@@ -154,7 +154,7 @@ def _panel(figure: Figure, axis: Axes, study: LandscapeStudy, name: str, moment:
             landscape.amplitudes,
             landscape.amplitudes,
             landscape.losses.T,
-            levels=cast("list[float]", list(np.geomspace(finite.min(), finite.max(), 9)[1:-1])),
+            levels=np.geomspace(finite.min(), finite.max(), 9)[1:-1].tolist(),
             colors="white",
             linewidths=0.6,
         )

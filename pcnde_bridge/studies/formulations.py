@@ -126,7 +126,8 @@ class FormulationStudy:
 
 def flow_slope(flow: Array, z: Array) -> Array:
     """∂Q/∂z, mL/s/cm, of Q (case, time, z) by second-order differences."""
-    return np.gradient(flow, z, axis=2, edge_order=2)
+    slope: Array = np.gradient(flow, z, axis=2, edge_order=2)
+    return slope
 
 
 def variation(values: Array) -> float:

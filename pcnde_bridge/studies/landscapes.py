@@ -14,7 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -288,68 +289,85 @@ def explore_landscapes(
     if config.training != "batches":
         raise InputError("The landscapes are those of training='batches'; change the config.")
     chosen = select_engine(engine)
-    grid = Grid(cases.time, cases.z, cases.period)
+    start = TrainingState.start(cases, config, seed)
+    units = [unit.work for unit in plan(config, len(start.batches))]
+    first_coupling = units.index("coupling") + 1
+    all_of_flow = units.index("temporal_pressure")
+    iterations = len(start.batches) * config.flow.epochs * config.flow.iterations
+    bar = TrainingProgress(iterations * len(right_hand_sides)) if progress is True else None
+    listener = bar if bar is not None else (progress if callable(progress) else None)
+
     landscapes: list[Landscape] = []
     outcomes: dict[str, str] = {}
     frames: list[pd.DataFrame] = []
-    start = TrainingState.start(cases, config, seed)
-    units = [u for u in plan(config, len(start.batches)) if not u.work.endswith("pressure")]
-    of_flow = len(start.batches) * config.flow.epochs * config.flow.iterations
-    batch = start.batches[0]
-    bar = TrainingProgress(of_flow * len(right_hand_sides)) if progress is True else None
-
     with bar if bar is not None else nullcontext():
         for name, terms in right_hand_sides.items():
             settings = config.replace(flow={"terms": terms})
-            records: list[Iteration] = []
-
-            def keep(record: Iteration, records: list[Iteration] = records) -> None:
-                records.append(record)
-                if bar is not None and record.stage == "flow":
-                    bar(record)
-                elif callable(progress):
-                    progress(record)
-
-            trainer = Trainer(cases, settings, chosen, on_record=keep)
-
-            def draw(
-                state: TrainingState,
-                moment: Moment,
-                name: str = name,
-                trainer: Trainer = trainer,
-                settings: PCNDEConfig = settings,
-            ) -> None:
-                area = trainer.coupled_area(state)
-                losses = loss_landscape(
-                    chosen,
-                    state.parameters.flow,
-                    FlowInputs(cases.inflow[batch], area[batch]),
-                    cases.flow[batch],
-                    grid,
-                    settings,
-                    amplitude=amplitude,
-                    points=points,
-                    seed=seed,
-                )
-                error = relative_error(compared("area", area), compared("area", cases.area))
-                along = amplitudes(amplitude, points)
-                landscapes.append(Landscape(name, moment, along, losses, error))
-
+            records = _Records(listener)
+            trainer = Trainer(cases, settings, chosen, on_record=records)
+            draw = partial(
+                _draw,
+                name,
+                trainer=trainer,
+                cases=cases,
+                engine=chosen,
+                config=settings,
+                grid={"amplitude": amplitude, "points": points, "seed": seed},
+            )
             state = start
             try:
                 try:
-                    state = trainer.run(state, until=1)
+                    state = trainer.run(start, until=1)
                 finally:
                     # Of the first parameters, where the first fit cannot start.
-                    draw(state, "initial")
-                state = trainer.run(state, until=1 + [u.work for u in units].index("coupling"))
-                draw(state, "coupled")
-                trainer.run(state, until=len(units))
+                    landscapes.append(draw("initial", state))
+                state = trainer.run(state, until=first_coupling)
+                landscapes.append(draw("coupled", state))
+                trainer.run(state, until=all_of_flow)
                 outcomes[name] = "trained"
             except SolveError:
-                outcomes[name] = _where(records)
-            frames.append(histories.to_frame(records).assign(right_hand_side=name))
+                outcomes[name] = _where(records.kept)
+            frames.append(histories.to_frame(records.kept).assign(right_hand_side=name))
     return LandscapeStudy(tuple(landscapes), outcomes, pd.concat(frames, ignore_index=True))
+
+
+class _Records:
+    """Keeps the iterations, and passes the flow's on, which the progress counts."""
+
+    def __init__(self, listener: Callable[[Iteration], None] | None) -> None:
+        self.kept: list[Iteration] = []
+        self._listener = listener
+
+    def __call__(self, record: Iteration) -> None:
+        self.kept.append(record)
+        if self._listener is not None and record.stage == "flow":
+            self._listener(record)
+
+
+def _draw(
+    name: str,
+    moment: Moment,
+    state: TrainingState,
+    *,
+    trainer: Trainer,
+    cases: Cases,
+    engine: Engine,
+    config: PCNDEConfig,
+    grid: Mapping[str, Any],
+) -> Landscape:
+    """Landscape of the first batch, with the area that the network now sees."""
+    area, batch = trainer.coupled_area(state), state.batches[0]
+    losses = loss_landscape(
+        engine,
+        state.parameters.flow,
+        FlowInputs(cases.inflow[batch], area[batch]),
+        cases.flow[batch],
+        Grid(cases.time, cases.z, cases.period),
+        config,
+        **grid,
+    )
+    error = relative_error(compared("area", area), compared("area", cases.area))
+    return Landscape(name, moment, amplitudes(grid["amplitude"], grid["points"]), losses, error)
 
 
 def _where(records: list[Iteration]) -> str:

@@ -71,8 +71,8 @@ const RK4_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 The four slopes of a step, from 1, from the flow before it; also what they are taken at.
 """
 function take_slopes!(problem::TemporalFlow, number)
-    (; stage, network, step, flows, stages, inputs, activations) = problem
-    n_points = size(flows, 1)
+    (; stage, network, inflow, step, flows, stages, inputs, activations) = problem
+    n_points, period = size(flows, 1), size(inflow, 1) * stage.steps * step
     before = view(flows, :, :, number)
     for i in 1:4
         input, a = inputs[i], activations[i]
@@ -80,7 +80,8 @@ function take_slopes!(problem::TemporalFlow, number)
         copyto!(at, before)
         i > 1 && axpy!(step * RK4_AT[i], stages[i - 1], at)
         if stage.time_input
-            input[n_points + 1, :] .= (number - 1 + RK4_AT[i]) / (stage.steps * n_instants(problem))
+            passed = (number - 1 + RK4_AT[i]) * step
+            input[n_points + 1, :] .= passed / period
         end
         mul!(a.before[1], network.matrices[1], input)
         forward!(a, network, size(before, 2))
@@ -88,8 +89,6 @@ function take_slopes!(problem::TemporalFlow, number)
     end
     return stages
 end
-
-n_instants(problem::TemporalFlow) = size(problem.inflow, 1)
 
 """
     integrate!(problem, parameters)
@@ -121,7 +120,8 @@ end
 
 The flow at the cycle's instants, (z, case, time).
 """
-at_instants(problem::TemporalFlow) = view(problem.flows, :, :, 1:(problem.stage.steps):size(problem.flows, 3))
+at_instants(problem::TemporalFlow) =
+    view(problem.flows, :, :, 1:(problem.stage.steps):size(problem.flows, 3))
 
 function value!(problem::TemporalFlow, parameters)
     integrate!(problem, parameters) || return Inf
@@ -141,7 +141,6 @@ function value_and_gradient!(gradient, problem::TemporalFlow, parameters)
     fill!(gradient, 0.0)
     parts = parts_of(gradient, problem.network)
     fill!(by_flow, 0.0)
-    # What is left of the later slope's derivative, by what it was taken at.
     at_points = view(by_input, 1:size(flows, 1), :)
     after = similar(by_flow)
     for number in (size(flows, 3) - 1):-1:1

@@ -5,6 +5,10 @@ using PCNDECore:
     SpatialPressureStage, StepControl, TemporalPressure, TemporalPressureStage, chain, fit,
     fourier_area_problem, integrate!, intermediate_area_problem, lbfgs, lux_parameters,
     residual!, solve, solve_flow, solve_intermediate_area, value!, value_and_gradient!
+    SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
+    TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
+    intermediate_area_problem, lux_parameters, residual!, solve, solve_flow,
+    solve_intermediate_area, solve_temporal_flow, value!, value_and_gradient!
 using LinearAlgebra
 using LineSearches: BackTracking
 using Lux: Lux
@@ -70,6 +74,7 @@ end
 @testset "PCNDECore" begin
     include("network.jl")
     include("flow.jl")
+    include("temporal_flow.jl")
     include("area.jl")
     include("pressure.jl")
     include("fit.jl")

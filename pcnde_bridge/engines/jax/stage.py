@@ -204,9 +204,19 @@ class JaxStage(Generic[InputsT]):
         total = jnp.sum(weight[:, None, None] * error**2)
         return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
 
-    def _losses(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
-        loss = partial(self._loss, config=config)
-        return jax.vmap(lambda vector: loss(vector, *data))(parameters)
+    def _losses(
+        self,
+        parameters: jax.Array,
+        inputs: tuple[jax.Array, ...],
+        weight: jax.Array,
+        target: jax.Array,
+        grid: tuple[jax.Array, jax.Array],
+        config: PCNDEConfig,
+    ) -> jax.Array:
+        """Loss of each row of parameters."""
+        return jax.vmap(lambda row: self._loss(row, inputs, weight, target, grid, config))(
+            parameters
+        )
 
 
 def in_batches(
