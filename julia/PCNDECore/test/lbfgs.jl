@@ -15,8 +15,20 @@
     empty!(seen)
     lbfgs(bowl, zeros(3), 10, 4, (x, loss) -> push!(seen, (x, loss)))
     @test length(seen) == 4
-    @test_throws ErrorException("enough") lbfgs(bowl, zeros(3), 10, 9, (_, _) -> error("enough"))
-    @test_throws ErrorException("broken") lbfgs((_, _) -> error("broken"), zeros(3), 10, 9, bowl)
+    @test_throws ErrorException("enough") lbfgs(
+        bowl,
+        zeros(3),
+        10,
+        9,
+        (_, _) -> error("enough"),
+    )
+    @test_throws ErrorException("broken") lbfgs(
+        (_, _) -> error("broken"),
+        zeros(3),
+        10,
+        9,
+        bowl,
+    )
     # A wall beyond which the loss is high, as the Python package has it where a loss is not
     # finite: the best step before it is taken.
     latest = Ref(fill(-40.0, 3))
