@@ -24,7 +24,8 @@ function lbfgs(
         (g, x) -> (copyto!(g, 1, evaluate!(point, x), 2, length(g)); point.found[1]),
         start,
     )
-    method = LBFGS(; m = memory, alphaguess = unit_step!, linesearch = MoreThuente())
+    linesearch = BestStep(MoreThuente(; x_tol = 0.1), point)
+    method = LBFGS(; m = memory, alphaguess = unit_step!, linesearch)
     options = Optim.Options(;
         iterations,
         g_abstol = 0.0,
@@ -55,6 +56,29 @@ function evaluate!(point::LastPoint, x)
         copyto!(point.at, x)
     end
     return point.found
+end
+
+"""
+    BestStep(search, point)
+
+A line search that, where `search` cannot meet Wolfe's conditions, as beside points where the
+loss has no value, takes the best step that it has found, if that lowers the loss.
+"""
+struct BestStep{S}
+    search::S
+    point::LastPoint
+end
+
+# Optim's arguments.
+function (line::BestStep)(objective, x, s, step, room, loss, slope)
+    try
+        return line.search(objective, x, s, step, room, loss, slope)
+    catch error
+        error isa LineSearchException || rethrow()
+        found = evaluate!(line.point, x .+ error.alpha .* s)[1]
+        found < loss || rethrow()
+        return error.alpha, found
+    end
 end
 
 """

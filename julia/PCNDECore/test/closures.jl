@@ -37,7 +37,13 @@ end
     @test reverse(mirrored; dims = 1) ≈ moved
     # A straight vessel under an even load that nothing but hoops and its support carry.
     far = collect(range(0.0, 40.0, 401))
-    long = displacement([1e6, 0.0, 1e-4, 1.0, 0.0], fill(1e4, 401, 1), fill(π, 401), far, "membrane")
+    long = displacement(
+        [1e6, 0.0, 1e-4, 1.0, 0.0],
+        fill(1e4, 401, 1),
+        fill(π, 401),
+        far,
+        "membrane",
+    )
     @test long[201] ≈ 1e4 / 1e6 rtol = 1e-6
     @test displacement([2e6, 1.0, 0.0], loads, fill(π, n_points), z, "local") ≈ loads ./ 2e6
 end
@@ -60,7 +66,11 @@ end
     @test all(0 .< g .< 0.8)
     weights, bias = reshape(correction[5:12], 4, 2), correction[13:16]
     by_hand = [
-        0.8 / (1 + exp(-(correction[17:20]' * tanh.(weights * [u[k], y[k]] .+ bias) + correction[21])))
+        0.8 / (
+            1 + exp(
+                -(correction[17:20]' * tanh.(weights * [u[k], y[k]] .+ bias) + correction[21]),
+            )
+        )
         for k in 1:9
     ]
     @test g ≈ by_hand

@@ -15,8 +15,32 @@
     empty!(seen)
     lbfgs(bowl, zeros(3), 10, 4, (x, loss) -> push!(seen, (x, loss)))
     @test length(seen) == 4
-    @test_throws ErrorException("enough") lbfgs(bowl, zeros(3), 10, 9, (_, _) -> error("enough"))
-    @test_throws ErrorException("broken") lbfgs((_, _) -> error("broken"), zeros(3), 10, 9, bowl)
+    @test_throws ErrorException("enough") lbfgs(
+        bowl,
+        zeros(3),
+        10,
+        9,
+        (_, _) -> error("enough"),
+    )
+    @test_throws ErrorException("broken") lbfgs(
+        (_, _) -> error("broken"),
+        zeros(3),
+        10,
+        9,
+        bowl,
+    )
+    # A wall beyond which the loss is high, as the Python package has it where a loss is not
+    # finite: the best step before it is taken.
+    latest = Ref(fill(-40.0, 3))
+    function cliff(x, found)
+        maximum(x) > 1.5 || return bowl(x, found)
+        way = x .- latest[]
+        found[1] = 1e7
+        found[2:end] .= way .* (2e7 / sum(abs2, way))
+        return nothing
+    end
+    lbfgs(cliff, latest[], 20, 100, (x, _) -> latest[] = x)
+    @test latest[] ≈ ones(3) atol = 1e-5
     # As exact as Optim asks: a point again, with another rounding, is not computed anew.
     point = PCNDECore.LastPoint(bowl, fill(NaN, 3), zeros(4))
     empty!(trials)

@@ -183,7 +183,8 @@ function predict_closures(
         for case in cases
             vessel, q = vessels(area_undeformed[:, case]), inflow[:, case]
             coupled = couple(
-                outlet, wall, correction, shift[case], vessel, q, harmonics, config.correction,
+                outlet, wall, correction, shift[case], vessel, q, harmonics,
+                config.correction,
             )
             coupled.change <= SETTLED * maximum(abs, q) ||
                 throw(unsettled(case, config.correction.passes))
