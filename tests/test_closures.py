@@ -291,7 +291,7 @@ def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
             return x, losses.rate(x, 1.0), losses.rate(losses.rate(x, 1.0), 1.0)
 
         c = losses.coefficients(numbers, s_u, z, BLOOD)
-        in_time, rates = losses.modes_in_time(with_rates(q), with_rates(d))
+        in_time, rates = map(jnp.stack, losses.modes_in_time(with_rates(q), with_rates(d)))
         return in_time.T @ losses.modes_in_space(c, share, z), in_time, rates
 
     found, in_time, rates = product(LOSSES, q, d, share, s_u, Z)
