@@ -456,6 +456,18 @@ def test_many_cases_are_predicted_as_one_by_one(corrected):
         assert np.allclose(getattr(alone, name)[0], found[129], rtol=0, atol=tolerance)
 
 
+@pytest.mark.parametrize("outlet", [OUTLET, np.array([2e4, 8e4, 2e-6, 5e3])])
+def test_passes_end_at_the_answer_of_many_more(outlet):
+    parameters = CORRECTED.replace(outlet=outlet)
+    found = solve(parameters, config=CONFIG.replace(correction={"passes": 60}))
+    # Passes that do not end when settled, as the fit makes them.
+    points, many = np.arange(41), CONFIG.replace(correction={"passes": 40})
+    closures = select_engine("jax").closures
+    problem = closures.flow(parameters, INFLOW, AREA, points, GRID, many)
+    expected, _ = problem(parameters.correction)
+    assert np.abs(found.flow - expected).max() < 1e-9 * INFLOW.max()
+
+
 def test_reversing_flow_changes_nothing_for_the_cases_beside_it(corrected):
     inflow = INFLOW.copy()
     inflow[3] = 2.5 * (inflow[3] - inflow[3].mean()) + 0.5

@@ -163,11 +163,12 @@ def _predict_batch(
 ) -> None:
     """Predict few cases, and write them into their rows of the result."""
     size = len(which)
-    filled = _filled_up((vessels.flow[which, :, -1], vessels.flow_slope[which, :, -1], *cases))
+    at_outlet = (np.asarray(a)[which, :, -1] for a in (vessels.flow, vessels.flow_slope))
+    filled = _filled_up((*at_outlet, *cases))
     with double_precision():
         coupled, solved = _couple(_on_device(parameters), *filled, grid.period, config=config)
         failed = np.flatnonzero(~np.asarray(solved)[:size])
-        coupled = Coupled(*(np.asarray(a)[:size] for a in coupled))
+        coupled = jax.tree.map(lambda a: np.asarray(a)[:size], coupled)
     if failed.size:
         raise SolveError(
             f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
@@ -204,7 +205,7 @@ def _fields(
     np.matmul(functions[:, :, 1:], vessels.pressure[which, : rows - 1], out=pressure)
 
 
-def _stacked(functions: tuple[Array, ...]) -> Array:
+def _stacked(functions: tuple[Any, ...]) -> Array:
     """(case, time) for each function, as a view (case, time, function)."""
     count, n_times = functions[0].shape
     stack = np.empty((count, len(functions), n_times))

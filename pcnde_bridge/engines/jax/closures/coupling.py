@@ -27,7 +27,7 @@ where A(ω) is ∂V/∂t of a small y about the mean flow and pressure.
 from __future__ import annotations
 
 from functools import reduce
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,10 @@ from pcnde_bridge.engines.jax.closures import losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.quadrature import frequencies, from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
+
+
+_Pass = tuple[jax.Array, jax.Array, jax.Array]
+"""Harmonics of Q(L), the bound of their change, and the number of passes."""
 
 
 class VesselModes(NamedTuple):
@@ -199,7 +203,7 @@ def couple(
         change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
         return change
 
-    def advance(before: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def advance(before: _Pass) -> _Pass:
         harmonics, _, number = before
         change = one_pass(harmonics)
         size = jnp.abs(change)
@@ -220,17 +224,13 @@ def couple(
     return Coupled(inflow_signals, stored, pressure, factor, mean_pressure, last[1])
 
 
-def volume_rates(
-    pressure: tuple[jax.Array, jax.Array], mode_rates: tuple[jax.Array, ...]
-) -> tuple[jax.Array, ...]:
+def volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
     """∂/∂t of P, P² and the modes, 2 + k of (..., time)."""
     p, p_rate = pressure
     return p_rate, 2 * p * p_rate, *mode_rates
 
 
-def in_time(
-    coupled: Coupled, reverses: bool = True
-) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+def in_time(coupled: Coupled, reverses: bool = True) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Functions of time that belong to :class:`VesselModes`, of (..., time).
 
     The first are the flow's 3 + k, Q_in and −κ(1 − g)·∂_t of P, P² and the modes; the

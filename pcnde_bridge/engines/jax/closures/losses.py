@@ -24,7 +24,7 @@ products of a function of z and a function of t.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +32,8 @@ import jax.numpy as jnp
 from pcnde_bridge.config import Physics
 from pcnde_bridge.engines.jax.closures.quadrature import rate, summed_from_inlet, to_outlet
 
-Signals = tuple[jax.Array, jax.Array, jax.Array]
-"""A function of time with its first and second rates."""
+Signals = tuple[Any, ...]
+"""A function of time with its first and second rates; arrays of JAX or of NumPy."""
 
 
 class Coefficients(NamedTuple):
@@ -132,7 +132,7 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
 
 def modes_in_time(
     inflow: Signals, stored: Signals, reverses: bool = True
-) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return the functions of time, ten of (..., time), and their rates.
 
     They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
@@ -157,12 +157,12 @@ def modes_in_time(
     forward = goes_forward(q, d).astype(q.dtype)
     back = 1 - forward
 
-    def directed(products: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def directed(products: tuple[Any, ...]) -> tuple[Any, ...]:
         return *(forward * p for p in products), *(back * p for p in products)
 
     return (*linear, *directed(squares)), (*linear_rates, *directed(square_rates))
 
 
-def goes_forward(flow: jax.Array, stored: jax.Array) -> jax.Array:
+def goes_forward(flow: Any, stored: Any) -> Any:
     """Whether the flow in the middle of the storage, q − d/2, is not reversed."""
     return flow - stored / 2 >= 0
