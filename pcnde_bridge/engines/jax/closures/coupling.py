@@ -38,7 +38,6 @@ from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_f
 from pcnde_bridge.engines.jax.closures.quadrature import frequencies, from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
 
-
 _Pass = tuple[jax.Array, jax.Array, jax.Array]
 """Harmonics of Q(L), the bound of their change, and the number of passes."""
 
