@@ -1,16 +1,20 @@
-"""Time of predicting 1, 100 and 10 000 cases in one call, after compilation.
+"""Time of predicting 1, 100 and 10 000 cases, after compilation: in one call and streamed.
 
 Run ``python benchmarks/speed.py MODEL [MODEL ...] [--engines jax julia] [--batches 1 100 10000]
 [--json FILE]`` with saved models, such as ``pcnde fit published --preset physics --out
-physics.npz`` makes them.  All models and engines are measured in turns in this one run.
-Prints milliseconds per case, cases per second, and the ratio to the first; the published
-cases are repeated, their inflows scaled by up to 1 %, so that no two are the same.
+physics.npz`` makes them.  All models and engines are measured in turns in this one run, each
+first streamed (``predict_batches``), then in one call (``predict``).  Prints milliseconds per
+case (median and best turn), cases per second, the ratio to the first, and by how much the
+process's memory grew at most so far; the load of the machine before and after.  The published
+cases are repeated, their inflows scaled by up to 1 %, so that no two are the same; a single
+case has another wave in every turn.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import statistics
 import time
@@ -29,6 +33,7 @@ def main() -> None:
     parser.add_argument("--engines", nargs="+", default=["jax"])
     parser.add_argument("--batches", nargs="+", type=int, default=[1, 100, 10_000])
     parser.add_argument("--turns", type=int, default=7)
+    parser.add_argument("--of-one", type=int, default=300, help="turns with a single case")
     parser.add_argument("--json")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -43,15 +48,26 @@ def main() -> None:
     cases = load_cases("published")
     rng = np.random.default_rng(0)
     rows = []
-    for count in options.batches:
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    start = _peak_mb()
+    # Streamed before all at once: a process's peak of memory does not fall again.
+    runs = [("streamed", max(options.batches))] if max(options.batches) > 1 else []
+    runs += [("in one call", count) for count in options.batches]
+    for way, count in runs:
         scale = 1 + 0.01 * rng.uniform(-1, 1, size=(count, 1))
         inflow = scale * np.resize(cases.inflow, (count, cases.n_times))
         area = np.resize(cases.area_undeformed, (count, cases.n_points))
         seconds: dict[str, list[float]] = {name: [] for name in models}
-        for turn in range(options.turns + 1):
+        for turn in range((options.of_one if count == 1 else options.turns) + 1):
+            if count == 1:
+                inflow = cases.inflow[[turn % len(cases)]] * scale
             for name, model in models.items():
                 began = time.perf_counter()
-                model.predict(inflow, area)
+                if way == "streamed":
+                    for _ in model.predict_batches(inflow, area):
+                        pass
+                else:
+                    model.predict(inflow, area)
                 if turn:  # the first compiles
                     seconds[name].append(time.perf_counter() - began)
         first = None
@@ -60,17 +76,24 @@ def main() -> None:
             first = first or taken
             row = {
                 "cases": count,
+                "way": way,
                 "model": name,
                 "ms_per_case": 1e3 * taken / count,
+                "best_ms_per_case": 1e3 * min(values) / count,
                 "cases_per_second": count / taken,
                 "ratio_to_first": taken / first,
-                "peak_mb_so_far": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+                "grown_mb_so_far": _peak_mb() - start,
             }
             rows.append(row)
-            print("  ".join(f"{k} {v:.4g}" if k != "model" else v for k, v in row.items()))
+            print("  ".join(v if isinstance(v, str) else f"{k} {v:.4g}" for k, v in row.items()))
+    print(f"load {os.getloadavg()[0]:.1f}")
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:  # noqa: PTH123
             json.dump(rows, file, indent=1)
+
+
+def _peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 if __name__ == "__main__":

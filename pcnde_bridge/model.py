@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,7 +21,7 @@ from pcnde_bridge.closures.uncertainty import Uncertainty, draw
 from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine, Grid
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import FileError, InputError, SolveError
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -35,6 +35,8 @@ Array = npt.NDArray[np.float64]
 _KIND, _VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
 _FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
+# pandas takes longer to make these names than a case takes to be predicted.
+_CASE = pd.Index(["case"])
 
 _Part = TypeVar("_Part", Uncertainty, Novelty)
 
@@ -275,6 +277,81 @@ class PCNDE:
             if area_undeformed is not None or z is not None or period is not None:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             return self._predict_cases(inflow, samples, seed)
+        q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
+        return self._predict(q, s_u, grid, _numbered(0, len(q)), samples, seed)
+
+    def predict_batches(
+        self,
+        inflow: npt.ArrayLike,
+        area_undeformed: npt.ArrayLike,
+        *,
+        batch: int = 256,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+    ) -> Iterator[Prediction]:
+        """Predict as :meth:`predict` does, some cases after the others.
+
+        Only the predictions that are still referred to take memory: of 10 000 cases of
+        100 instants and 101 points in batches of 256, twice 61 MB in place of 2.4 GB.
+        It is also faster, because memory that is given back is used again.
+
+        Parameters
+        ----------
+        inflow, area_undeformed, z, period
+            As of :meth:`predict`.
+        batch : int
+            Cases in each prediction; fewer in the last.
+
+        Returns
+        -------
+        iterator of Prediction
+            In the order of the cases; the column ``case`` of ``labels`` counts all.
+            Arrays are each prediction's own.  What is wrong with the inputs is raised,
+            and warned of, before the first.
+
+        Warns
+        -----
+        OutsideTrainingWarning
+            If an input lies outside the training data.
+
+        Raises
+        ------
+        InputError
+            As :meth:`predict`, or if ``batch`` is not a positive whole number.
+        SolveError
+            If the equations diverge for an input; when its batch is asked for.
+
+        Examples
+        --------
+        >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
+        ...     highest.append(part.pressure.max(axis=(1, 2)))
+        """
+        if isinstance(batch, bool) or not isinstance(batch, int | np.integer) or batch < 1:
+            raise InputError(f"batch must be a positive whole number, got {batch!r}.")
+        q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
+        self._warn(self._score(q, s_u, grid.z), q, s_u, grid.z)
+
+        def predictions() -> Iterator[Prediction]:
+            for start in range(0, len(q), int(batch)):
+                rows = slice(start, min(start + int(batch), len(q)))
+                labels = _numbered(rows.start, rows.stop)
+                try:
+                    yield self._predict(q[rows], s_u[rows], grid, labels, 0, 0)
+                except SolveError as error:
+                    raise SolveError(
+                        f"Of the batch that begins with case {start}: {error}"
+                    ) from error
+
+        return predictions()
+
+    def _inputs(
+        self,
+        inflow: npt.ArrayLike,
+        area_undeformed: npt.ArrayLike | None,
+        z: npt.ArrayLike | None,
+        period: float | None,
+    ) -> tuple[Array, Array, Grid]:
+        """Validate inputs, and return them case by case with their grid."""
         if area_undeformed is None:
             raise InputError("predict needs area_undeformed beside the inflow.")
         grid = self._grid_of(inflow, z, period)
@@ -294,8 +371,7 @@ class PCNDE:
             ) from None
         q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
         s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
-        labels = pd.DataFrame({"case": np.arange(count)})
-        return self._predict(q, s_u, grid, labels, samples, seed)
+        return q, s_u, grid
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         self.check_grid(cases)
@@ -353,9 +429,7 @@ class PCNDE:
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
                 "'physics' (and correction.folds > 0)."
             )
-        score = None
-        if self.novelty is not None:
-            score = np.maximum(*self.novelty.score(inflow, area_undeformed, grid.z))
+        score = self._score(inflow, area_undeformed, grid.z)
         args = inflow, area_undeformed, grid
         solution = recipes.predict(self.engine, self.config, self.parameters, *args)
         drawn = None
@@ -379,22 +453,33 @@ class PCNDE:
 
     def warned(self, prediction: Prediction) -> Prediction:
         """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
-        score = prediction.novelty
+        inflow = prediction.flow[:, :, 0]
+        self._warn(prediction.novelty, inflow, prediction.area_undeformed, prediction.z, level=4)
+        return prediction
+
+    def _score(self, inflow: Array, area_undeformed: Array, z: Array) -> Array | None:
+        """How far each case lies from the training data."""
+        if self.novelty is None:
+            return None
+        return np.maximum(*self.novelty.score(inflow, area_undeformed, z))
+
+    def _warn(
+        self, score: Array | None, inflow: Array, area_undeformed: Array, z: Array, level: int = 3
+    ) -> None:
+        """Warn of inputs outside the training data; the level is that of the caller to blame."""
         outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
         if score is None or self.novelty is None or outside == 0:
-            return prediction
+            return
         worst = int(score.argmax())
-        inputs = prediction.flow[[worst], :, 0], prediction.area_undeformed[[worst]]
-        of_inflow, of_area = self.novelty.score(*inputs, prediction.z)
+        of_inflow, of_area = self.novelty.score(inflow[[worst]], area_undeformed[[worst]], z)
         what = "inflow" if of_inflow[0] > of_area[0] else "undeformed area"
         warnings.warn(
             f"{outside} of {len(score)} cases lie outside the training data, most of all "
             f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "
             "training data). The prediction extrapolates.",
             OutsideTrainingWarning,
-            stacklevel=3,
+            stacklevel=level,
         )
-        return prediction
 
     def evaluate(self, cases: Cases) -> pd.DataFrame:
         """Relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
@@ -549,11 +634,17 @@ def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:
             f"{name} must have the shape (case, {length}), {length} {of} as in the training data, "
             f"got {np.shape(values)}.{hint}"
         )
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
+    finite = np.isfinite(array)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         case, i = bad[0]
         raise InputError(f"{name}[{case}, {i}] is {array[case, i]} ({len(bad)} such values).")
     return array
+
+
+def _numbered(start: int, stop: int) -> pd.DataFrame:
+    """Labels of cases that have no other than their number."""
+    return pd.DataFrame(np.arange(start, stop)[:, None], columns=_CASE, copy=False)
 
 
 def _part(of: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | None:

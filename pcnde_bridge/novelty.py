@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -143,19 +144,30 @@ class Novelty:
 
 def _harmonics(inflow: Array) -> Array:
     """Fourier coefficients of the first harmonics, real and imaginary: (case, n)."""
-    spectrum = np.fft.rfft(inflow, axis=1)[:, : _HARMONICS + 1] / inflow.shape[1]
-    missing = _HARMONICS + 1 - spectrum.shape[1]
-    spectrum = np.pad(spectrum, ((0, 0), (0, missing)))
-    return np.concatenate([spectrum.real, spectrum.imag], axis=1)
+    described: Array = inflow @ _analysis(inflow.shape[1])
+    return described
+
+
+@lru_cache(maxsize=8)
+def _analysis(n_times: int) -> Array:
+    """Matrix (time, n) of those coefficients; they are 0 above Nyquist's frequency."""
+    harmonic = np.arange(_HARMONICS + 1)
+    phase = 2 * np.pi / n_times * (np.arange(n_times)[:, None] * harmonic % n_times)
+    waves = np.stack([np.cos(phase), -np.sin(phase)], axis=1) * (harmonic <= n_times // 2)
+    return waves.reshape(n_times, -1) / n_times
 
 
 def _profile(area_undeformed: Array, z: Array) -> Array:
     """Radius, up to √π, at equally spaced places, and the length: (case, n)."""
     place = (z - z[0]) / (z[-1] - z[0])
     at = np.linspace(0, 1, _PLACES)
-    rows = [np.interp(at, place, np.sqrt(s)) for s in area_undeformed]
-    length = np.full((len(rows), 1), z[-1] - z[0])
-    return np.concatenate([np.array(rows), length], axis=1)
+    after = np.clip(np.searchsorted(place, at), 1, z.size - 1)
+    share = (at - place[after - 1]) / (place[after] - place[after - 1])
+    radius = np.sqrt(area_undeformed)
+    described = np.empty((len(radius), _PLACES + 1))
+    described[:, :-1] = (1 - share) * radius[:, after - 1] + share * radius[:, after]
+    described[:, -1] = z[-1] - z[0]
+    return described
 
 
 def _box(described: Array) -> tuple[Array, Array, Array, Array]:

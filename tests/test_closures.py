@@ -291,7 +291,7 @@ def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
             return x, losses.rate(x, 1.0), losses.rate(losses.rate(x, 1.0), 1.0)
 
         c = losses.coefficients(numbers, s_u, z, BLOOD)
-        in_time, rates = losses.modes_in_time(with_rates(q), with_rates(d))
+        in_time, rates = map(jnp.stack, losses.modes_in_time(with_rates(q), with_rates(d)))
         return in_time.T @ losses.modes_in_space(c, share, z), in_time, rates
 
     found, in_time, rates = product(LOSSES, q, d, share, s_u, Z)
@@ -454,6 +454,18 @@ def test_many_cases_are_predicted_as_one_by_one(corrected):
         tolerance = 1e-11 * np.abs(expected).max()
         assert np.allclose(found, expected[which], rtol=0, atol=tolerance)
         assert np.allclose(getattr(alone, name)[0], found[129], rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("outlet", [OUTLET, np.array([2e4, 8e4, 2e-6, 5e3])])
+def test_passes_end_at_the_answer_of_many_more(outlet):
+    parameters = CORRECTED.replace(outlet=outlet)
+    found = solve(parameters, config=CONFIG.replace(correction={"passes": 60}))
+    # Passes that do not end when settled, as the fit makes them.
+    points, many = np.arange(41), CONFIG.replace(correction={"passes": 40})
+    closures = select_engine("jax").closures
+    problem = closures.flow(parameters, INFLOW, AREA, points, GRID, many)
+    expected, _ = problem(parameters.correction)
+    assert np.abs(found.flow - expected).max() < 1e-9 * INFLOW.max()
 
 
 def test_reversing_flow_changes_nothing_for_the_cases_beside_it(corrected):

@@ -359,6 +359,38 @@ def test_prediction_takes_cases_or_their_inputs(model, cases, prediction):
     assert np.allclose(one_wave.flow, other.flow[1::4], rtol=1e-12)
 
 
+def test_batches_are_the_parts_of_the_whole(model, prediction):
+    parts = list(model.predict_batches(INFLOW, AREA, batch=6))
+    assert [len(part) for part in parts] == [6, 6, 4]
+    for name in VARIABLES:
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert np.allclose(joined, getattr(prediction, name), rtol=1e-12, atol=0)
+    assert np.allclose(np.concatenate([p.novelty for p in parts]), prediction.novelty, rtol=1e-12)
+    assert list(pd.concat([part.labels for part in parts])["case"]) == list(range(16))
+    # Each has arrays of its own, also one that is not kept in a list.
+    first, second, _ = model.predict_batches(INFLOW, AREA, batch=6)
+    assert not np.shares_memory(first.flow, second.flow)
+
+
+def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
+    for arguments, options, message in (
+        ((INFLOW, -AREA), {}, "areas are positive"),
+        ((INFLOW, AREA[:3]), {}, "give as many"),
+        ((INFLOW, AREA), {"batch": 0}, "batch must be a positive whole number"),
+        ((INFLOW, AREA), {"batch": 2.5}, "batch must be a positive whole number"),
+    ):
+        with pytest.raises(InputError, match=message):
+            model.predict_batches(*arguments, **options)
+    inflow = INFLOW.copy()
+    inflow[14] *= 1.5
+    with pytest.warns(OutsideTrainingWarning, match="1 of 16 .* case 14 with its inflow") as caught:
+        parts = model.predict_batches(inflow, AREA, batch=6)
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert sum(len(part) for part in parts) == 16
+
+
 def test_samples_have_the_shape_and_are_the_seeds_own(model, cases, prediction):
     for name in VARIABLES:
         assert prediction.samples[name].shape == (12, 16, 32, 41)

@@ -2,12 +2,9 @@ using PCNDECore
 using PCNDECore:
     Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
     Network, Objective, Optimiser, Physics, SolveError, SpatialPressure,
-    SpatialPressureStage, StepControl, TemporalPressure, TemporalPressureStage, chain, fit,
-    fourier_area_problem, integrate!, intermediate_area_problem, lbfgs, lux_parameters,
-    residual!, solve, solve_flow, solve_intermediate_area, value!, value_and_gradient!
     SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
     TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
-    intermediate_area_problem, lux_parameters, residual!, solve, solve_flow,
+    intermediate_area_problem, lbfgs, lux_parameters, residual!, solve, solve_flow,
     solve_intermediate_area, solve_temporal_flow, value!, value_and_gradient!
 using LinearAlgebra
 using LineSearches: BackTracking

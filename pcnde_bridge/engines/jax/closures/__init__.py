@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import jax
@@ -25,7 +25,7 @@ from pcnde_bridge.engines.jax.closures.coupling import (
     in_time,
     vessel_modes,
 )
-from pcnde_bridge.engines.jax.closures.losses import N_SQUARES
+from pcnde_bridge.engines.jax.closures.losses import goes_forward
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.precision import double_precision
@@ -163,12 +163,12 @@ def _predict_batch(
 ) -> None:
     """Predict few cases, and write them into their rows of the result."""
     size = len(which)
-    filled = _filled_up((vessels.flow[which, :, -1], vessels.flow_slope[which, :, -1], *cases))
-    vectors = parameters.outlet, parameters.wall, parameters.correction
+    at_outlet = (np.asarray(a)[which, :, -1] for a in (vessels.flow, vessels.flow_slope))
+    filled = _filled_up((*at_outlet, *cases))
     with double_precision():
-        coupled, solved = _couple(vectors, *filled, grid.period, config=config)
+        coupled, solved = _couple(_on_device(parameters), *filled, grid.period, config=config)
         failed = np.flatnonzero(~np.asarray(solved)[:size])
-        coupled = Coupled(*(np.asarray(a)[:size] for a in coupled))
+        coupled = jax.tree.map(lambda a: np.asarray(a)[:size], coupled)
     if failed.size:
         raise SolveError(
             f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
@@ -191,25 +191,21 @@ def _fields(
 
     A matrix product for each case: NumPy's writes its result at once where it belongs.
     """
-    of_flow, of_others = in_time(coupled)
-    # The last modes belong to reversed flow: where there is none, they are zero.
-    modes = len(of_flow) - 3
-    if not any(mode.any() for mode in of_others[-N_SQUARES:]):
-        modes -= N_SQUARES
-    rows = 3 + modes
+    reverses = not goes_forward(coupled.inflow[:, 0], coupled.stored[:, 0]).all()
+    of_flow, (square, *others) = in_time(coupled, reverses)
+    rows = len(of_flow)
     mean = coupled.mean_pressure[:, None, None]
     in_z = vessels.flow[which, :rows]
-    in_z[:, 3:] += mean * vessels.flow_slope[which, :modes]
-    np.matmul(_stacked(of_flow[:rows]), in_z, out=flow)
+    in_z[:, 3:] += mean * vessels.flow_slope[which, : rows - 3]
+    np.matmul(_stacked(of_flow), in_z, out=flow)
     in_z = vessels.area[which, :rows]
-    in_z[:, 3:] += mean * vessels.area_slope[which, :modes]
-    square, *others = of_others[: rows - 1]
+    in_z[:, 3:] += mean * vessels.area_slope[which, : rows - 3]
     functions = _stacked((square, np.ones_like(square), *others))
     np.matmul(functions, in_z, out=area)
     np.matmul(functions[:, :, 1:], vessels.pressure[which, : rows - 1], out=pressure)
 
 
-def _stacked(functions: tuple[Array, ...]) -> Array:
+def _stacked(functions: tuple[Any, ...]) -> Array:
     """(case, time) for each function, as a view (case, time, function)."""
     count, n_times = functions[0].shape
     stack = np.empty((count, len(functions), n_times))
@@ -218,10 +214,19 @@ def _stacked(functions: tuple[Array, ...]) -> Array:
     return stack.transpose(0, 2, 1)
 
 
+@lru_cache(maxsize=16)
+def _on_device(parameters: ClosureParameters) -> tuple[jax.Array, ...]:
+    """Hand over what :func:`_couple` needs of one model's parameters, once."""
+    with double_precision():
+        return tuple(map(jnp.asarray, (parameters.outlet, parameters.wall, parameters.correction)))
+
+
 def _filled_up(arrays: tuple[npt.NDArray[Any], ...]) -> tuple[npt.NDArray[Any], ...]:
     """Repeat the last case up to one of two sizes, so that little is compiled."""
     count = len(arrays[0])
     size = 1 if count == 1 else _BATCH
+    if size == count:
+        return arrays
     return tuple(np.concatenate([a, np.repeat(a[-1:], size - count, axis=0)]) for a in arrays)
 
 

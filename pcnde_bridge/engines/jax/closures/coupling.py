@@ -27,7 +27,7 @@ where A(ω) is ∂V/∂t of a small y about the mean flow and pressure.
 from __future__ import annotations
 
 from functools import reduce
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +37,9 @@ from pcnde_bridge.engines.jax.closures import losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.quadrature import frequencies, from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
+
+_Pass = tuple[jax.Array, jax.Array, jax.Array]
+"""Harmonics of Q(L), the bound of their change, and the number of passes."""
 
 
 class VesselModes(NamedTuple):
@@ -193,12 +196,13 @@ def couple(
 
     def one_pass(harmonics: jax.Array) -> jax.Array:
         stored, pressure = state(harmonics)
-        rates = volume_rates(tuple(inflow_signals), tuple(stored), tuple(pressure))
+        _, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
+        rates = volume_rates(tuple(pressure), mode_rates)
         filling = reduce(jnp.add, (v * r for v, r in zip(total, rates, strict=True)))
         change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
         return change
 
-    def advance(before: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def advance(before: _Pass) -> _Pass:
         harmonics, _, number = before
         change = one_pass(harmonics)
         size = jnp.abs(change)
@@ -219,25 +223,22 @@ def couple(
     return Coupled(inflow_signals, stored, pressure, factor, mean_pressure, last[1])
 
 
-def volume_rates(
-    inflow: losses.Signals, stored: losses.Signals, pressure: tuple[jax.Array, jax.Array]
-) -> tuple[jax.Array, ...]:
+def volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
     """∂/∂t of P, P² and the modes, 2 + k of (..., time)."""
     p, p_rate = pressure
-    return p_rate, 2 * p * p_rate, *losses.modes_in_time(inflow, stored)[1]
+    return p_rate, 2 * p * p_rate, *mode_rates
 
 
-def in_time(
-    coupled: Coupled,
-) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+def in_time(coupled: Coupled, reverses: bool = True) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Functions of time that belong to :class:`VesselModes`, of (..., time).
 
     The first are the flow's 3 + k, Q_in and −κ(1 − g)·∂_t of P, P² and the modes; the
     second the area's without 1, P², P and the modes, of which the pressure's are those
-    after the first.  Arrays of JAX or of NumPy, with any axes before the time.
+    after the first.  Arrays of JAX or of NumPy, with any axes before the time.  Where
+    nothing ``reverses``, the last modes are left out.
     """
     q, d = (tuple(a[..., i, :] for i in range(3)) for a in (coupled.inflow, coupled.stored))
-    p, p_rate = coupled.pressure[..., 0, :], coupled.pressure[..., 1, :]
-    modes, _ = losses.modes_in_time(q, d)
-    rates = volume_rates(q, d, (p, p_rate))
-    return (q[0], *(coupled.factor * r for r in rates)), (p * p, p, *modes)
+    p = coupled.pressure[..., 0, :], coupled.pressure[..., 1, :]
+    modes, mode_rates = losses.modes_in_time(q, d, reverses)
+    rates = volume_rates(p, mode_rates)
+    return (q[0], *(coupled.factor * r for r in rates)), (p[0] ** 2, p[0], *modes)

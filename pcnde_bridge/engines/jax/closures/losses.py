@@ -24,7 +24,7 @@ products of a function of z and a function of t.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,12 +32,8 @@ import jax.numpy as jnp
 from pcnde_bridge.config import Physics
 from pcnde_bridge.engines.jax.closures.quadrature import rate, summed_from_inlet, to_outlet
 
-N_SQUARES = 3
-"""Products of q and d; the modes end with those of forward and of reversed flow."""
-
-
-Signals = tuple[jax.Array, jax.Array, jax.Array]
-"""A function of time with its first and second rates."""
+Signals = tuple[Any, ...]
+"""A function of time with its first and second rates; arrays of JAX or of NumPy."""
 
 
 class Coefficients(NamedTuple):
@@ -135,8 +131,8 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
 
 
 def modes_in_time(
-    inflow: Signals, stored: Signals
-) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+    inflow: Signals, stored: Signals, reverses: bool = True
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return the functions of time, ten of (..., time), and their rates.
 
     They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
@@ -148,15 +144,25 @@ def modes_in_time(
     ----------
     inflow, stored : three arrays of shape (..., time)
         q and d with their first and second rates; of JAX or of NumPy.
+    reverses : bool
+        Whether some flow goes back; else the last three, which are zero, are left out.
     """
     q, q1, q2 = inflow
     d, d1, d2 = stored
-    forward = (q - d / 2 >= 0).astype(q.dtype)
-    back = 1 - forward
+    linear, linear_rates = (q, d, q1, d1), (q1, d1, q2, d2)
     squares = q * q, q * d, d * d
     square_rates = 2 * q * q1, q1 * d + q * d1, 2 * d * d1
+    if not reverses:
+        return (*linear, *squares), (*linear_rates, *square_rates)
+    forward = goes_forward(q, d).astype(q.dtype)
+    back = 1 - forward
 
-    def directed(products: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def directed(products: tuple[Any, ...]) -> tuple[Any, ...]:
         return *(forward * p for p in products), *(back * p for p in products)
 
-    return (q, d, q1, d1, *directed(squares)), (q1, d1, q2, d2, *directed(square_rates))
+    return (*linear, *directed(squares)), (*linear_rates, *directed(square_rates))
+
+
+def goes_forward(flow: Any, stored: Any) -> Any:
+    """Whether the flow in the middle of the storage, q − d/2, is not reversed."""
+    return flow - stored / 2 >= 0
