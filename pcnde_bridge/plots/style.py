@@ -109,7 +109,7 @@ def letters(axes: npt.NDArray[Any]) -> None:
 def plain(axis: Axes) -> None:
     """Grid and tick labels alike in all figures."""
     axis.grid(alpha=0.3)
-    axis.tick_params(labelsize=8)
+    axis.tick_params(which="both", labelsize=8)
 
 
 def nearest(values: Array, wanted: float) -> int:
