@@ -137,6 +137,7 @@ def _panel(figure: Figure, axis: Axes, study: LandscapeStudy, name: str, moment:
     landscape = study.landscape(name, moment)
     if landscape is None or landscape.diverged.all():
         words = study.outcomes[name].replace(" at ", "\nat ").replace(" after ", "\nafter ")
+        words = words.replace(", ", ",\n")
         axis.text(0.5, 0.5, words, ha="center", va="center", transform=axis.transAxes, fontsize=9)
         return
     finite = landscape.losses[~landscape.diverged]
