@@ -34,6 +34,7 @@ from pcnde_bridge.inference import undeformed
 from pcnde_bridge.parameters import initial_parameters
 
 _STATUS = julia_status()
+OUR_SERIES = julia._core_version(julia_sources()).rpartition(".")[0]
 needs_julia = [
     pytest.mark.julia,
     pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
@@ -71,7 +72,8 @@ def fake_project(folder: Path, *packages: str) -> Path:
     project = folder / "project"
     project.mkdir()
     entries = [
-        f'[[deps.{name}]]\nuuid = "x"\nversion = "0.2.{i}"\n' for i, name in enumerate(packages)
+        f'[[deps.{name}]]\nuuid = "x"\nversion = "{OUR_SERIES}.{i}"\n'
+        for i, name in enumerate(packages)
     ]
     (project / "Manifest.toml").write_text("\n".join(entries))
     return project
@@ -92,7 +94,10 @@ def test_the_users_file_names_julia(bare):
     status = julia_status()
     assert status.usable and status.source == "file"
     assert (status.executable, status.project, status.version) == (program, project, "1.10.8")
-    assert status.packages == {"PCNDECore": "0.2.0", "PythonCall": "0.2.1"}
+    assert status.packages == {
+        "PCNDECore": f"{OUR_SERIES}.0",
+        "PythonCall": f"{OUR_SERIES}.1",
+    }
     assert not status.precompiled and "not precompiled" in status.message
     assert (status.threads, status.handle_signals) == ("1", "no")
     cache = bare / "compiled" / "v1.10" / "PCNDECore"
