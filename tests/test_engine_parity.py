@@ -232,7 +232,12 @@ def test_published_weights_give_the_published_errors(engines, published_weights,
         # steps of two engines differ by round-off.  One flow solve is 3e-8 off at rtol 1e-10,
         # and 3e-10 at 1e-12; where S is linear in z, or the steps are equal, the engines
         # agree to round-off.
-        pytest.param({"rtol": 1e-12, "atol": 1e-14, "max_steps": 60_000}, 1e-8, id="tight"),
+        pytest.param(
+            {"rtol": 1e-12, "atol": 1e-14, "max_steps": 60_000},
+            1e-8,
+            id="tight",
+            marks=pytest.mark.slow,
+        ),
         pytest.param({"rtol": 1e-3, "atol": 1e-6}, 1e-3, id="paper"),
         pytest.param({"steps": 100}, 1e-12, id="equal steps"),
     ],

@@ -3,7 +3,12 @@
 """
 Largest change of the last coupling pass, relative to the largest inflow.
 """
-const SETTLED = 1e-4
+const ACCEPTED = 1e-4
+
+"""
+Change of Q(L), relative to the largest inflow, below which a prediction's passes end.
+"""
+const SETTLED = 1e-9
 
 """
 Parameters whose derivatives are computed together, at most.
@@ -184,9 +189,9 @@ function predict_closures(
             vessel, q = vessels(area_undeformed[:, case]), inflow[:, case]
             coupled = couple(
                 outlet, wall, correction, shift[case], vessel, q, harmonics,
-                config.correction,
+                config.correction, SETTLED,
             )
-            coupled.change <= SETTLED * maximum(abs, q) ||
+            coupled.change <= ACCEPTED * maximum(abs, q) ||
                 throw(unsettled(case, config.correction.passes))
             @views fields!(
                 flow[:, :, case], area[:, :, case], pressure[:, :, case],

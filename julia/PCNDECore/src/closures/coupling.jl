@@ -9,13 +9,17 @@
 #
 # The wall is linear in p and the losses are a sum of few products of functions of z and of
 # t, so that the integrals over z are done once for each vessel, exactly on its grid, and
-# only the outlet flow y = Q(L) is sought. Each coupling pass takes all but the largest,
-# linear part from the pass before it and solves that part harmonic by harmonic:
+# only the outlet flow y = Q(L) is sought, or what is stored of the inflow, d = Q_in − y:
 #
-#     y·(1 + κ·V₀·iω·𝒵(ω)) = Q_in − κ·∂_t[V − V₀·P] + κ·g·∂_t V,
+#     e·d = κ·∂V/∂t,    e(t) = 1/(1 − g),
 #
-# with the volume V(t) of the vessel, P = 𝒵y + p_d − p₀, and V₀·P the part of V that a
-# uniform pressure gives to first order.
+# with the volume V(t) of the vessel, a function of P = 𝒵y + p_d − p₀ and of the losses.
+# Each coupling pass solves the part that is linear with constant coefficients, harmonic by
+# harmonic, for what the pass before it left over:
+#
+#     (mean(e) + κ·A(ω))·Δy = e·d − κ·∂V/∂t,
+#
+# where A(ω) is ∂V/∂t of a small y about the mean flow and pressure.
 
 """
     VesselModes(wall, loss, area_undeformed, z, law, physics)
@@ -69,7 +73,7 @@ The converged functions of time of one case.
   - `modes`: the losses' functions of time, (k, time).
   - `volume`: that of [`VesselModes`](@ref) at this mean pressure, (z, 2 + k).
   - `storage`: −κ(1 − g)·∂_t of P, P² and the modes, (2 + k, time): Q = Q_in + volume·storage.
-  - `change`: largest change of Q(L) in the last pass, mL/s.
+  - `change`: what the last pass changed Q(L) by at most, mL/s.
 """
 struct Coupled{T}
     outlet_pressure::Vector{T}
@@ -81,7 +85,7 @@ struct Coupled{T}
 end
 
 """
-    couple(outlet, wall, correction, shift, vessel, inflow, harmonics, settings)
+    couple(outlet, wall, correction, shift, vessel, inflow, harmonics, settings, tolerance = 0.0)
 
 Find the outlet flow of one case, and all functions of time with it, as [`Coupled`](@ref).
 
@@ -92,10 +96,12 @@ Find the outlet flow of one case, and all functions of time with it, as [`Couple
   - `inflow`: Q_in, mL/s, (time).
   - `harmonics`: [`Harmonics`](@ref) of these instants.
   - `settings`: a [`CorrectionClosure`](@ref).
+  - `tolerance`: passes end once one changes Q(L) by less, relative to the largest inflow;
+    with 0 all passes are made, as derivatives need it.
 """
 function couple(
     outlet, wall, correction::Vector{T}, shift, vessel::VesselModes, inflow::Vector{Float64},
-    harmonics::Harmonics, settings::CorrectionClosure,
+    harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
 ) where {T}
     turned = im .* harmonics.omega
     z_outlet = impedance(outlet, harmonics.omega)
@@ -104,15 +110,24 @@ function couple(
     q = signals(harmonics, [q_hat, turned .* q_hat, turned .^ 2 .* q_hat])
 
     offset = outlet[4] - wall[end]
-    mean_pressure = real(z_outlet[1]) * sum(inflow) / length(inflow) + offset
+    mean_flow = sum(inflow) / length(inflow)
+    mean_pressure = real(z_outlet[1]) * mean_flow + offset
     volume = copy(vessel.volume)
     volume[:, 3:end] .+= mean_pressure .* vessel.volume_slope
     total = volume[end, :]
-    solve = 1 ./ (1 .+ kappa .* total[1] .* turned .* z_outlet)
 
-    passive = solve .* q_hat
+    passive = q_hat ./ (1 .+ kappa .* total[1] .* turned .* z_outlet)
     response = signals(harmonics, [turned .* z_outlet .* passive, passive])
     g = hidden_share(correction, response[1, :], response[2, :], shift, settings.hidden)
+    shown = 1 ./ (1 .- g)
+
+    # Of the modes d, ∂d/∂t and q·d, which come with −y.
+    of_stored, of_rate = total[4], total[6]
+    of_product = mean_flow >= 0 ? total[8] : total[11]
+    linear =
+        turned .* z_outlet .* (total[1] + 2 * mean_pressure * total[2]) .-
+        turned .* (of_stored + of_product * mean_flow .+ turned .* of_rate)
+    solve = 1 ./ (sum(shown) / length(shown) .+ kappa .* linear)
 
     pressure = Vector{T}(undef, length(inflow))
     modes = Matrix{T}(undef, N_MODES, length(inflow))
@@ -121,29 +136,24 @@ function couple(
         stored, p_hat = q_hat .- y_hat, z_outlet .* y_hat
         stored_rate = turned .* stored
         spectra = [stored, stored_rate, turned .* stored_rate, p_hat, turned .* p_hat]
-        state!(pressure, modes, rates, q, signals(harmonics, spectra), offset)
-        return nothing
-    end
-    function one_pass(y_hat)
-        after_outlet!(y_hat)
-        unseen = similar(pressure)
-        for t in eachindex(unseen)
-            first = total[1] * rates[1, t]
-            rest = zero(first)
-            for k in 2:length(total)
-                rest += total[k] * rates[k, t]
-            end
-            unseen[t] = rest - g[t] * (first + rest)
-        end
-        return solve .* (q_hat .- kappa .* spectrum(harmonics, unseen))
+        at_outlet = signals(harmonics, spectra)
+        state!(pressure, modes, rates, q, at_outlet, offset)
+        return at_outlet[1, :]
     end
 
-    before, now = passive, one_pass(passive)
-    for _ in 2:settings.passes
-        before, now = now, one_pass(now)
+    y_hat, change = Vector{Complex{T}}(passive), T(Inf)
+    settled = tolerance * maximum(abs, inflow)
+    for _ in 1:settings.passes
+        stored = after_outlet!(y_hat)
+        left = shown .* stored .- kappa .* (rates' * total)
+        step = solve .* spectrum(harmonics, left)
+        y_hat = y_hat .+ step
+        # No signal exceeds the sum of its harmonics' amplitudes.
+        size = abs.(step)
+        change = (2 * sum(size) - size[1]) / length(inflow)
+        change <= settled && break
     end
-    change = maximum(abs, signals(harmonics, [now .- before]))
-    after_outlet!(now)
+    after_outlet!(y_hat)
     storage = -kappa .* (1 .- g') .* rates
     return Coupled(pressure, mean_pressure, modes, volume, storage, change)
 end
