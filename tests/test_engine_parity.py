@@ -52,7 +52,14 @@ def engines():
     return JuliaEngine(), JaxEngine()
 
 
-@pytest.fixture(scope="module", params=CONFIGS)
+# "other" has what differs in the first; a test below predicts with equal steps.
+SLOW = ("published-code", "equal steps")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(c, marks=[pytest.mark.slow] * (c in SLOW)) for c in CONFIGS],
+)
 def config(request):
     return CONFIGS[request.param]
 

@@ -272,7 +272,7 @@ def test_checkpoint_that_is_not_whole_is_a_file_error(cases, started, tmp_path, 
 
 
 def test_saved_model_predicts_the_same_bits(model, model_file, cases, prediction):
-    loaded = PCNDE.load(model_file)
+    loaded = PCNDE.load(model_file, engine="jax")
     assert loaded.config == model.config
     assert loaded.provenance == model.provenance
     assert loaded.history.equals(model.history)

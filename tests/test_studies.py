@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -103,18 +103,19 @@ def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest, toy_engine
 
 def test_what_goes_to_a_process_can_go(small_model, hardest):
     """The tasks' arguments can be pickled, and give the same result there."""
-    sent = {}
+    sent = []
 
-    class Process:
-        def map(self, task, *columns):
-            for arguments in zip(*columns, strict=False):
-                again, *rest = pickle.loads(pickle.dumps((task, *arguments)))  # noqa: S301
-                sent[task.__name__] = len(rest)
-                yield again(*rest)
+    class Process(Executor):
+        def submit(self, function, /, *arguments):
+            again, *rest = pickle.loads(pickle.dumps((function, *arguments)))  # noqa: S301
+            sent.append(rest)
+            future = Future()
+            future.set_result(again(*rest))
+            return future
 
     there = noise_study(small_model, hardest, draws=11, executor=Process())
     here = noise_study(small_model, hardest, draws=11)
-    assert sent == {"_predict": 6}
+    assert len(sent) == 1  # eleven draws are one task
     np.testing.assert_array_equal(here.deviation["flow"], there.deviation["flow"])
 
 
@@ -171,11 +172,10 @@ def test_activations_equal_whole_fits(small_cases, toy_config, toy_engine, train
             assert study.loc[(activation, 1), name] == error
 
 
-def test_activations_without_test_cases_and_with_seeds(toy_model, small_cases, capsys):
+def test_activations_without_test_cases_and_with_seeds(toy_model, small_cases):
     study = activation_study(toy_model, small_cases, activations=["relu"], seeds=[0, 1])
     assert list(study.columns) == ["train", "train_explained"]
     assert study["train"].nunique() == 2
-    assert "relu, seed 1" in capsys.readouterr().err
 
 
 def test_only_the_pressure_is_fitted_again(toy_model, small_cases, toy_engine):
