@@ -122,20 +122,26 @@ def test_interrupted_by_ctrl_c_then_continued(folder, fit_options, tmp_path, run
     out = tmp_path / "model.pcnde"
     checkpoint = tmp_path / "model.pcnde.checkpoint"
     arguments = ["fit", folder / "cases.npz", *fit_options, "--out", out]
-    child = subprocess.Popen(
-        [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 240
-    while not _finished(checkpoint):
-        assert child.poll() is None, child.stderr.read()
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    child.send_signal(signal.SIGINT)
-    printed, err = child.communicate(timeout=120)
-    assert child.returncode == 130
+    for _ in range(3):
+        child = subprocess.Popen(
+            [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        deadline = time.monotonic() + 240
+        while not _finished(checkpoint):
+            assert child.poll() is None, child.stderr.read()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        child.send_signal(signal.SIGINT)
+        printed, err = child.communicate(timeout=120)
+        if child.returncode == 130:
+            break
+        # A busy machine ended the training before the signal came.
+        for path in tmp_path.iterdir():
+            path.unlink()
+    assert child.returncode == 130, err
     assert "Interrupted" in err
     assert str(checkpoint) in err
     assert "Traceback" not in printed + err
