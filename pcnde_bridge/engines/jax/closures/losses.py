@@ -32,7 +32,7 @@ import jax.numpy as jnp
 from pcnde_bridge.config import Physics
 from pcnde_bridge.engines.jax.closures.quadrature import rate, summed_from_inlet, to_outlet
 
-Signals = tuple[Any, ...]
+_Signals = tuple[Any, ...]
 """A function of time with its first and second rates; arrays of JAX or of NumPy."""
 
 
@@ -131,7 +131,7 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
 
 
 def modes_in_time(
-    inflow: Signals, stored: Signals, reverses: bool = True
+    inflow: _Signals, stored: _Signals, reverses: bool = True
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Return the functions of time, ten of (..., time), and their rates.
 
