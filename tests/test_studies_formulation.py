@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pcnde_bridge import plots
 from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import FlowInputs, Grid
@@ -13,7 +14,7 @@ from pcnde_bridge.engines.julia import julia_status
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 from pcnde_bridge.inference import undeformed
 from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.studies import compare_formulations, explore_landscapes, figures
+from pcnde_bridge.studies import compare_formulations, explore_landscapes
 from pcnde_bridge.studies.formulations import variation
 from pcnde_bridge.studies.landscapes import Landscape, amplitudes, loss_landscape
 
@@ -186,7 +187,7 @@ def test_divergence_is_recorded(small_cases):
     assert study.to_frame()["diverged"].all()
     assert study.landscape("friction", "coupled") is None
     assert seen == []
-    assert len(figures.landscapes(study).axes) == 2
+    assert len(plots.landscapes(study).axes) == 2
 
 
 def test_minima_and_roughness():
@@ -284,7 +285,7 @@ def test_formulations_need_known_names(small_cases):
 
 
 def test_figures_show_what_the_studies_hold(study, formulations):
-    figure = figures.smoothness(formulations, "test", case=1)
+    figure = plots.smoothness(formulations, "test", case=1)
     assert len(figure.axes) == 6
     lines = figure.axes[1].get_lines()
     assert len(lines) == 4
@@ -293,8 +294,8 @@ def test_figures_show_what_the_studies_hold(study, formulations):
         lines[1].get_ydata(), formulations.results["spatial", "test"].slope[1, peak]
     )
     with pytest.raises(InputError, match="no case"):
-        figures.smoothness(formulations, "test", case=2)
-    mesh = figures.landscapes(study).axes[0].collections[0]
+        plots.smoothness(formulations, "test", case=2)
+    mesh = plots.landscapes(study).axes[0].collections[0]
     np.testing.assert_array_equal(mesh.get_array(), study.landscape("network", "initial").losses.T)
 
 
