@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
+import typer.core
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -34,7 +35,20 @@ if TYPE_CHECKING:
     from pcnde_bridge.ensemble import Ensemble
     from pcnde_bridge.model import PCNDE
 
+
+class _Group(typer.core.TyperGroup):
+    """Ends with 130 after Ctrl-C, at whatever moment it came."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            _say_note("\nInterrupted.")
+            raise typer.Exit(130) from None
+
+
 app = typer.Typer(
+    cls=_Group,
     help="One-dimensional blood-flow models that learn from 3D simulation (PCNDE).",
     no_args_is_help=True,
     add_completion=False,
@@ -280,8 +294,9 @@ def predict(
     A model of the preset physics takes any equally spaced instants of a cycle and any
     points; another those of its training.
     """
-    from pcnde_bridge.ensemble import Ensemble, load_model
-    from pcnde_bridge.prediction import check_target
+    from pcnde_bridge.ensemble import load_model
+    from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.prediction import check_target, save_csv
     from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
     suffix = check_target(out, has_pressure=True)
@@ -289,19 +304,23 @@ def predict(
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine=engine.value)
     check_target(out, fitted.has_pressure)
-    # The members of an ensemble are its samples.
-    draws = {} if isinstance(fitted, Ensemble) else {"samples": samples}
+    where: dict[str, Any] = {}
     if fitted.any_grid:
-        period, q = read_cycle(inflow)
-        z, s_u = read_table(area, "z")
-        prediction = fitted.predict(q, s_u, z=z, period=period, **draws)
+        where["period"], q = read_cycle(inflow)
+        where["z"], s_u = read_table(area, "z")
     else:
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
-        prediction = fitted.predict(q, s_u, **draws)
-    prediction.save(out)
-    cases = "case" if len(prediction) == 1 else "cases"
-    _out.print(f"Saved {len(prediction)} {cases} in {out}.", highlight=False, soft_wrap=True)
+    if isinstance(fitted, PCNDE) and not samples and suffix == ".csv":
+        count = save_csv(fitted.predict_batches(q, s_u, **where), out)
+    else:
+        # The members of an ensemble are its samples.
+        draws = {"samples": samples} if isinstance(fitted, PCNDE) else {}
+        prediction = fitted.predict(q, s_u, **where, **draws)
+        prediction.save(out)
+        count = len(prediction)
+    cases = "case" if count == 1 else "cases"
+    _out.print(f"Saved {count} {cases} in {out}.", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -318,13 +337,7 @@ def demo(
     try:
         result = run_demo(out, seed, engine.value)
     except KeyboardInterrupt:
-        _notes.print(
-            f"\nInterrupted. The state of training is in {out}: run the same command again to "
-            "continue.",
-            highlight=False,
-            soft_wrap=True,
-        )
-        raise typer.Exit(130) from None
+        raise _interrupted(f"The state of training is in {out}") from None
     _print_errors(
         {
             f"{name}, {method}": row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import NormalDist
@@ -190,8 +190,7 @@ class Prediction:
         """
         suffix = check_target(path, self.pressure is not None)
         if suffix == ".csv":
-            with atomic_write(path) as temporary:  # its ending, too, says whether to compress
-                self.to_frame().to_csv(temporary, index=False)
+            save_csv([self], path)
         elif suffix in (".vtp", ".pvd"):
             from pcnde_bridge import formats
 
@@ -225,6 +224,34 @@ class Prediction:
             period=self.period,
             labels=labels,
         )
+
+
+def save_csv(parts: Iterable[Prediction], path: str | os.PathLike[str]) -> int:
+    """Write the frames of predictions into one table, one after the other.
+
+    Parameters
+    ----------
+    parts : iterable of Prediction
+        Such as :meth:`pcnde_bridge.PCNDE.predict_batches` gives: only one is in memory.
+    path : path-like
+        The file, ``.csv`` or ``.csv.gz``.
+
+    Returns
+    -------
+    int
+        Cases that were written.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    count = 0
+    with atomic_write(path) as temporary:  # its ending, too, says whether to compress
+        for part in parts:
+            part.to_frame().to_csv(temporary, index=False, header=count == 0, mode="a")
+            count += len(part)
+    return count
 
 
 def check_target(path: str | os.PathLike[str], has_pressure: bool) -> str:
