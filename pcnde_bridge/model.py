@@ -278,7 +278,8 @@ class PCNDE:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             return self._predict_cases(inflow, samples, seed)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        return self._predict(q, s_u, grid, _numbered(0, len(q)), samples, seed)
+        score = self._score(q, s_u, grid.z)
+        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, samples, seed)
 
     def predict_batches(
         self,
@@ -328,14 +329,16 @@ class PCNDE:
         if isinstance(batch, bool) or not isinstance(batch, int | np.integer) or batch < 1:
             raise InputError(f"batch must be a positive whole number, got {batch!r}.")
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        self._warn(self._score(q, s_u, grid.z), q, s_u, grid.z)
+        score = self._score(q, s_u, grid.z)
+        self._warn(score, q, s_u, grid.z)
 
         def predictions() -> Iterator[Prediction]:
             for start in range(0, len(q), int(batch)):
                 rows = slice(start, min(start + int(batch), len(q)))
                 labels = _numbered(rows.start, rows.stop)
+                part = None if score is None else score[rows]
                 try:
-                    yield self._predict(q[rows], s_u[rows], grid, labels, 0, 0)
+                    yield self._predict(q[rows], s_u[rows], grid, labels, part, 0, 0)
                 except SolveError as error:
                     raise SolveError(
                         f"Of the batch that begins with case {start}: {error}"
@@ -376,7 +379,8 @@ class PCNDE:
         self.check_grid(cases)
         grid = Grid(cases.time, cases.z, cases.period)
         inputs = cases.inflow, cases.area_undeformed
-        return self._predict(*inputs, grid, cases.labels, samples, seed)
+        score = self._score(*inputs, grid.z)
+        return self._predict(*inputs, grid, cases.labels, score, samples, seed)
 
     @property
     def any_grid(self) -> bool:
@@ -416,6 +420,7 @@ class PCNDE:
         area_undeformed: Array,
         grid: Grid,
         labels: pd.DataFrame,
+        score: Array | None,
         samples: int,
         seed: int,
     ) -> Prediction:
@@ -428,7 +433,6 @@ class PCNDE:
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
                 "'physics' (and correction.folds > 0)."
             )
-        score = self._score(inflow, area_undeformed, grid.z)
         args = inflow, area_undeformed, grid
         solution = recipes.predict(self.engine, self.config, self.parameters, *args)
         drawn = None

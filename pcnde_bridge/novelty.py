@@ -159,15 +159,24 @@ def _analysis(n_times: int) -> Array:
 
 def _profile(area_undeformed: Array, z: Array) -> Array:
     """Radius, up to √π, at equally spaced places, and the length: (case, n)."""
+    described = np.empty((len(area_undeformed), _PLACES + 1))
+    np.matmul(np.sqrt(area_undeformed), _interpolation(z.tobytes()), out=described[:, :-1])
+    described[:, -1] = z[-1] - z[0]
+    return described
+
+
+@lru_cache(maxsize=8)
+def _interpolation(points: bytes) -> Array:
+    """Matrix (z, place) of linear interpolation from points to equally spaced places."""
+    z = np.frombuffer(points)
     place = (z - z[0]) / (z[-1] - z[0])
     at = np.linspace(0, 1, _PLACES)
     after = np.clip(np.searchsorted(place, at), 1, z.size - 1)
     share = (at - place[after - 1]) / (place[after] - place[after - 1])
-    radius = np.sqrt(area_undeformed)
-    described = np.empty((len(radius), _PLACES + 1))
-    described[:, :-1] = (1 - share) * radius[:, after - 1] + share * radius[:, after]
-    described[:, -1] = z[-1] - z[0]
-    return described
+    matrix = np.zeros((z.size, _PLACES))
+    matrix[after - 1, np.arange(_PLACES)] = 1 - share
+    matrix[after, np.arange(_PLACES)] = share
+    return matrix
 
 
 def _box(described: Array) -> tuple[Array, Array, Array, Array]:
@@ -195,5 +204,5 @@ def _score(described: Array, centre: Array, axes: Array, span: Array, rest: Arra
     along = moved @ axes.T
     beyond = np.abs(along - span[0]) / span[1]
     left = np.linalg.norm(moved - along @ axes, axis=1) / rest[0]
-    score: Array = np.max(np.concatenate([beyond, left[:, None]], axis=1), axis=1)
+    score: Array = np.maximum(beyond.max(axis=1, initial=0.0), left)
     return score

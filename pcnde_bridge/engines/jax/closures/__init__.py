@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.buffers import Buffers
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.engines.base import Grid, Solution
@@ -22,10 +23,9 @@ from pcnde_bridge.engines.jax.closures.coupling import (
     Coupled,
     VesselModes,
     couple,
-    in_time,
     vessel_modes,
 )
-from pcnde_bridge.engines.jax.closures.losses import goes_forward
+from pcnde_bridge.engines.jax.closures.losses import REVERSED
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.precision import double_precision
@@ -53,6 +53,7 @@ class JaxClosures:
     def __init__(self) -> None:
         # The vessels of the last batch, with what they were computed from.
         self._vessels: tuple[tuple[Array, ...], VesselModes] | None = None
+        self._buffers = Buffers()
 
     def losses(
         self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
@@ -95,7 +96,7 @@ class JaxClosures:
         """See the protocol."""
         settings, count = _relevant(config), len(inflow)
         shape = count, inflow.shape[1], grid.z.size
-        result = Solution(np.empty(shape), np.empty(shape), np.empty(shape))
+        result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
         cases = shift, inflow
         for start in range(0, count, _BLOCK):
             block = slice(start, min(start + _BLOCK, count))
@@ -191,27 +192,17 @@ def _fields(
 
     A matrix product for each case: NumPy's writes its result at once where it belongs.
     """
-    reverses = not goes_forward(coupled.inflow[:, 0], coupled.stored[:, 0]).all()
-    of_flow, (square, *others) = in_time(coupled, reverses)
-    rows = len(of_flow)
+    # Modes of reversed flow, the last, are zero where there is none.
+    rows = vessels.flow.shape[1] - (0 if coupled.reverses.any() else REVERSED)
     mean = coupled.mean_pressure[:, None, None]
     in_z = vessels.flow[which, :rows]
     in_z[:, 3:] += mean * vessels.flow_slope[which, : rows - 3]
-    np.matmul(_stacked(of_flow), in_z, out=flow)
+    np.matmul(coupled.flow[:, :rows].transpose(0, 2, 1), in_z, out=flow)
+    in_time = coupled.area[:, :rows].transpose(0, 2, 1)
     in_z = vessels.area[which, :rows]
     in_z[:, 3:] += mean * vessels.area_slope[which, : rows - 3]
-    functions = _stacked((square, np.ones_like(square), *others))
-    np.matmul(functions, in_z, out=area)
-    np.matmul(functions[:, :, 1:], vessels.pressure[which, : rows - 1], out=pressure)
-
-
-def _stacked(functions: tuple[Any, ...]) -> Array:
-    """(case, time) for each function, as a view (case, time, function)."""
-    count, n_times = functions[0].shape
-    stack = np.empty((count, len(functions), n_times))
-    for number, function in enumerate(functions):
-        stack[:, number] = function
-    return stack.transpose(0, 2, 1)
+    np.matmul(in_time, in_z, out=area)
+    np.matmul(in_time[:, :, 1:], vessels.pressure[which, : rows - 1], out=pressure)
 
 
 @lru_cache(maxsize=16)
@@ -268,7 +259,7 @@ def _flow(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) 
         at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1]
         coupled = couple(*vectors, jnp.zeros(()), *at_outlet, inflow, period, config.correction)
         in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
-        return jnp.stack(in_time(coupled)[0]).T @ in_z[:, points]
+        return coupled.flow.T @ in_z[:, points]
 
     return jax.vmap(one)(*cases)
 

@@ -45,7 +45,7 @@ _Pass = tuple[jax.Array, jax.Array, jax.Array]
 class VesselModes(NamedTuple):
     """Functions of z of one vessel: flow, area and pressure are their sums.
 
-    They belong to the functions of time of :func:`in_time`, with k = 10 modes of the losses.
+    They belong to the functions of time of :class:`Coupled`, with k = 10 modes of the losses.
 
     Attributes
     ----------
@@ -67,28 +67,27 @@ class VesselModes(NamedTuple):
 
 
 class Coupled(NamedTuple):
-    """The converged functions of time of one case.
+    """The converged functions of time of one case; k as in :class:`VesselModes`.
 
     Attributes
     ----------
-    inflow, stored : array of shape (3, time)
-        q and d = q − Q(L) with their first and second rates.
-    pressure : array of shape (2, time)
-        P = p(L) − p₀, dyn/cm², and its rate.
-    factor : array of shape (time,)
-        −κ·(1 − g).
+    flow : array of shape (3 + k, time)
+        Of the flow: Q_in, and −κ(1 − g)·∂_t of P = p(L) − p₀, of P² and of the modes.
+    area : array of shape (3 + k, time)
+        Of the area: P², 1, P and the modes; without the first those of the pressure.
     mean_pressure : scalar
         The mean of P that the inflow gives.
     change : scalar
         No change of Q(L) in the last pass was larger, mL/s.
+    reverses : scalar
+        Whether some flow goes back; else the last three modes are zero.
     """
 
-    inflow: jax.Array
-    stored: jax.Array
-    pressure: jax.Array
-    factor: jax.Array
+    flow: jax.Array
+    area: jax.Array
     mean_pressure: jax.Array
     change: jax.Array
+    reverses: jax.Array
 
 
 def vessel_modes(
@@ -219,26 +218,19 @@ def couple(
             lambda b: (b[2] < settings.passes) & (b[1] > settled), advance, first
         )
     stored, pressure = state(last[0])
-    factor = -kappa * (1 - g)
-    return Coupled(inflow_signals, stored, pressure, factor, mean_pressure, last[1])
+    modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
+    rates = jnp.stack(volume_rates(tuple(pressure), mode_rates))
+    p = pressure[0]
+    return Coupled(
+        jnp.concatenate([inflow[None], -kappa * (1 - g) * rates]),
+        jnp.stack([p**2, jnp.ones_like(p), p, *modes]),
+        mean_pressure,
+        last[1],
+        ~jnp.all(losses.goes_forward(inflow_signals[0], stored[0])),
+    )
 
 
 def volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
-    """∂/∂t of P, P² and the modes, 2 + k of (..., time)."""
+    """∂/∂t of P, P² and the modes, 2 + k of (time,)."""
     p, p_rate = pressure
     return p_rate, 2 * p * p_rate, *mode_rates
-
-
-def in_time(coupled: Coupled, reverses: bool = True) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Functions of time that belong to :class:`VesselModes`, of (..., time).
-
-    The first are the flow's 3 + k, Q_in and −κ(1 − g)·∂_t of P, P² and the modes; the
-    second the area's without 1, P², P and the modes, of which the pressure's are those
-    after the first.  Arrays of JAX or of NumPy, with any axes before the time.  Where
-    nothing ``reverses``, the last modes are left out.
-    """
-    q, d = (tuple(a[..., i, :] for i in range(3)) for a in (coupled.inflow, coupled.stored))
-    p = coupled.pressure[..., 0, :], coupled.pressure[..., 1, :]
-    modes, mode_rates = losses.modes_in_time(q, d, reverses)
-    rates = volume_rates(p, mode_rates)
-    return (q[0], *(coupled.factor * r for r in rates)), (p[0] ** 2, p[0], *modes)

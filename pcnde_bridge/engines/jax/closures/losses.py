@@ -24,7 +24,7 @@ products of a function of z and a function of t.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,8 +32,12 @@ import jax.numpy as jnp
 from pcnde_bridge.config import Physics
 from pcnde_bridge.engines.jax.closures.quadrature import rate, summed_from_inlet, to_outlet
 
-_Signals = tuple[Any, ...]
-"""A function of time with its first and second rates; arrays of JAX or of NumPy."""
+_Signals = tuple[jax.Array, ...]
+"""Functions of time."""
+
+
+REVERSED = 3
+"""Modes, the last, that are zero unless some flow goes back."""
 
 
 class Coefficients(NamedTuple):
@@ -130,10 +134,8 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
     return jnp.stack([*(to_outlet(f, z) for f in smooth), *(j[-1] - j for j in jets)])
 
 
-def modes_in_time(
-    inflow: _Signals, stored: _Signals, reverses: bool = True
-) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return the functions of time, ten of (..., time), and their rates.
+def modes_in_time(inflow: _Signals, stored: _Signals) -> tuple[_Signals, _Signals]:
+    """Return the functions of time, ten of (time,), and their rates.
 
     They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
     same where it goes back.  Its direction is that in the middle of the storage,
@@ -142,27 +144,23 @@ def modes_in_time(
 
     Parameters
     ----------
-    inflow, stored : three arrays of shape (..., time)
-        q and d with their first and second rates; of JAX or of NumPy.
-    reverses : bool
-        Whether some flow goes back; else the last three, which are zero, are left out.
+    inflow, stored : three arrays of shape (time,)
+        q and d with their first and second rates.
     """
     q, q1, q2 = inflow
     d, d1, d2 = stored
     linear, linear_rates = (q, d, q1, d1), (q1, d1, q2, d2)
     squares = q * q, q * d, d * d
     square_rates = 2 * q * q1, q1 * d + q * d1, 2 * d * d1
-    if not reverses:
-        return (*linear, *squares), (*linear_rates, *square_rates)
     forward = goes_forward(q, d).astype(q.dtype)
     back = 1 - forward
 
-    def directed(products: tuple[Any, ...]) -> tuple[Any, ...]:
+    def directed(products: _Signals) -> _Signals:
         return *(forward * p for p in products), *(back * p for p in products)
 
     return (*linear, *directed(squares)), (*linear_rates, *directed(square_rates))
 
 
-def goes_forward(flow: Any, stored: Any) -> Any:
+def goes_forward(flow: jax.Array, stored: jax.Array) -> jax.Array:
     """Whether the flow in the middle of the storage, q − d/2, is not reversed."""
     return flow - stored / 2 >= 0
