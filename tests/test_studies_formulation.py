@@ -11,8 +11,9 @@ from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import FlowInputs, Grid
 from pcnde_bridge.engines.julia import julia_status
-from pcnde_bridge.errors import EngineUnavailableError, InputError
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.inference import undeformed
+from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.studies import compare_formulations, explore_landscapes
 from pcnde_bridge.studies.formulations import variation
@@ -20,6 +21,7 @@ from pcnde_bridge.studies.landscapes import Landscape, amplitudes, loss_landscap
 
 _STATUS = julia_status()
 TERMS = ("friction", "convection", "inertia")
+TIGHT = {"rtol": 1e-10, "atol": 1e-12, "max_steps": 4096}
 # One short training for all tests: two epochs in two batches, coupled once.
 CONFIG = PAPER.replace(
     batch_size=6,
@@ -30,21 +32,30 @@ CONFIG = PAPER.replace(
 )
 
 
+needs_julia = [
+    pytest.mark.julia,
+    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
+]
+
+
+@pytest.fixture(scope="module", params=["jax", pytest.param("julia", marks=needs_julia)])
+def engine(request):
+    return select_engine(request.param)
+
+
 @pytest.fixture(scope="module")
-def engine():
-    return select_engine("jax")
+def both():
+    return select_engine("julia"), select_engine("jax")
+
+
+def explore(cases, engine):
+    sides = {"network": (), "convection": ("convection",)}
+    return explore_landscapes(cases, sides, CONFIG, engine, points=5, seed=3, progress=False)
 
 
 @pytest.fixture(scope="module")
 def study(small_cases):
-    return explore_landscapes(
-        small_cases,
-        {"network": (), "inertia": ("inertia",)},
-        CONFIG,
-        points=5,
-        seed=3,
-        progress=False,
-    )
+    return explore(small_cases, "jax")
 
 
 def flow_problem(cases):
@@ -173,12 +184,12 @@ def test_study_draws_each_equation_twice(study, small_cases):
     assert len(study.summary()) == len(study.landscapes)
 
 
-def test_divergence_is_recorded(small_cases):
+def test_divergence_is_recorded(engine, small_cases):
     """A step of the adaptive solver is too few, wherever the network goes."""
     config = CONFIG.replace(flow={"steps": None, "max_steps": 2})
     seen = []
     study = explore_landscapes(
-        small_cases, {"friction": ("friction",)}, config, points=3, progress=seen.append
+        small_cases, {"friction": ("friction",)}, config, engine, points=3, progress=seen.append
     )
     (landscape,) = study.landscapes
     assert landscape.diverged.all()
@@ -213,19 +224,73 @@ def test_what_cannot_be_drawn_is_said(small_cases, changes, words):
         explore_landscapes(small_cases, **{"config": CONFIG, "progress": False, **changes})
 
 
-@pytest.mark.julia
-@pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}")
-def test_julia_draws_the_network_alone_and_declines_the_terms(small_cases):
-    engine = select_engine("julia")
-    inputs, grid = flow_problem(small_cases)
-    vector = initial_parameters(CONFIG, small_cases.n_times, small_cases.n_points, 1).flow
-    args = (vector, inputs, small_cases.flow, grid)
-    by_julia, by_jax = (
-        loss_landscape(e, *args, CONFIG, points=3) for e in (engine, select_engine("jax"))
+class TestEnginesAgree:
+    pytestmark = needs_julia
+
+    @pytest.mark.parametrize(
+        ("terms", "solver", "agreement"),
+        [
+            # The study has the convection alone; JAX compiles each anew.
+            pytest.param(TERMS[:1], {"steps": 40}, 1e-12, id=TERMS[0], marks=pytest.mark.slow),
+            pytest.param(TERMS[1:2], {"steps": 40}, 1e-12, id=TERMS[1], marks=pytest.mark.slow),
+            pytest.param(TERMS[2:], {"steps": 40}, 1e-12, id=TERMS[2]),
+            pytest.param(TERMS, {"steps": 40}, 1e-12, id="all"),
+            pytest.param(TERMS, TIGHT, 1e-9, id="adaptive"),
+        ],
     )
-    np.testing.assert_allclose(by_julia, by_jax, rtol=1e-10)
-    with pytest.raises(EngineUnavailableError, match="jax"):
-        engine.flow.solve(vector, inputs, grid, CONFIG.replace(flow={"terms": ("friction",)}))
+    def test_on_loss_and_gradient(self, both, small_cases, terms, solver, agreement):
+        cases = small_cases.select([1, 5])
+        inputs, grid = flow_problem(cases)
+        inputs = gentle(inputs)
+        if "steps" not in solver:
+            # Kinks of S pass round-off on to the steps: here S is linear in z.
+            taper = np.linspace(1.0, 0.8, cases.n_points)
+            inputs = FlowInputs(inputs.inflow, inputs.area[:, :, :1] * taper)
+        config = PAPER.replace(flow={"terms": terms, "hidden": (4,), **solver})
+        vector = quiet(initial_parameters(config, cases.n_times, cases.n_points, 0).flow)
+        (julia, by_julia), (jax, by_jax) = (
+            e.flow.loss_and_gradient(vector, inputs, cases.flow, grid, config) for e in both
+        )
+        assert julia == pytest.approx(jax, rel=agreement)
+        assert relative_error(by_julia, by_jax) < agreement
+
+    def test_on_many_losses_and_where_they_diverge(self, both, small_cases):
+        """Where the network lets the flow fall to zero, the inertia is singular."""
+        inputs, grid = flow_problem(small_cases)
+        config = PAPER.replace(flow={"terms": TERMS, "hidden": (4,)})
+        first = initial_parameters(config, small_cases.n_times, small_cases.n_points, 0).flow
+        vectors = np.stack([np.append(0.3 * first[:-20], np.full(20, b)) for b in (-1, 0, 1, 2)])
+        julia, jax = (
+            e.flow.losses(vectors, gentle(inputs), small_cases.flow, grid, config) for e in both
+        )
+        assert np.isinf(jax).any() and np.isfinite(jax).any()
+        np.testing.assert_allclose(julia, jax, rtol=1e-7)
+
+    def test_on_the_study(self, study, small_cases):
+        by_julia = explore(small_cases, "julia")
+        assert by_julia.outcomes == study.outcomes
+        for julia, jax in zip(by_julia.landscapes, study.landscapes, strict=True):
+            np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
+            assert julia.area_error == pytest.approx(jax.area_error, rel=1e-6)
+
+    def test_on_a_prediction(self, both, small_cases):
+        """Stage by stage, as the quick way of neither engine knows terms."""
+        cases = small_cases.select([1])
+        inputs, grid = flow_problem(cases)
+        config = PAPER.replace(flow={"terms": TERMS, "steps": 80, "hidden": (4,)})
+        first = initial_parameters(config, cases.n_times, cases.n_points, 0)
+        given = first.without_pressure().replace(
+            flow=quiet(first.flow),
+            intermediate_area=1e-3 * first.intermediate_area,
+            fourier_area=1e-3 * first.fourier_area,
+        )
+        julia, jax = (
+            e.predict(given, gentle(inputs).inflow, cases.area_undeformed, grid, config)
+            for e in both
+        )
+        assert relative_error(julia.flow, jax.flow) < 1e-10
+        assert relative_error(julia.area, jax.area) < 1e-10
+        assert julia.pressure is None
 
 
 @pytest.fixture(scope="module")

@@ -61,6 +61,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.engines.julia_closures import JuliaClosures
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
+from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import Parameters
 
 __all__ = ["JuliaEngine", "JuliaStatus", "julia_settings_file", "julia_sources", "julia_status"]
@@ -477,11 +478,6 @@ class _Julia:
 
     def _new_config(self, config: PCNDEConfig | ClosureConfig) -> Any:
         """Julia's copy of the settings, as a TOML text of plain numbers and words."""
-        if isinstance(config, PCNDEConfig) and config.flow.terms:
-            raise EngineUnavailableError(
-                "Physics terms beside the flow's network are computed by the JAX engine only; use "
-                "engine='jax'."
-            )
         lines = [
             f"{group}.{name} = {json.dumps(value)}"
             for group, settings in config.to_dict().items()
@@ -726,6 +722,8 @@ class JuliaEngine:
         config: PCNDEConfig,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.base.Engine`."""
+        if config.flow.terms:
+            return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
         flow, area, pressure = self._julia.call(
             "predict",
             tuple(vector for _, vector in parameters),

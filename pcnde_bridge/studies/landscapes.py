@@ -245,7 +245,7 @@ def explore_landscapes(
     cases: Cases,
     right_hand_sides: Mapping[str, tuple[Term, ...]] = RIGHT_HAND_SIDES,
     config: PCNDEConfig = PAPER,
-    engine: EngineName | Engine = "jax",
+    engine: EngineName | Engine = "auto",
     *,
     amplitude: float = 0.1,
     points: int = 21,
@@ -266,8 +266,8 @@ def explore_landscapes(
         Names, and ``config.flow.terms`` of each.
     config : PCNDEConfig
         Everything else.
-    engine : {'jax', 'auto', 'julia'} or Engine
-        Who computes; only JAX knows physics terms.
+    engine : {'auto', 'julia', 'jax'} or Engine
+        Who computes.
     amplitude, points : float and int
         Grid of each landscape; see :func:`loss_landscape`.
     seed : int

@@ -13,7 +13,8 @@ Five stages, each of which can be solved, judged and fitted:
 | pressure from a network, at each instant | `temporal_pressure.jl` |
 | constant–tanh–constant pressure in z     | `spatial_pressure.jl`  |
 
-and the momentum equation in time, which a study compares with the one in z, in
+and what studies compare with the first: the same with terms of the 1D momentum equation
+beside the network, in `physics_terms.jl`, and the momentum equation in time, in
 `temporal_flow.jl`.
 
 Every array is float64 with the indices (z, time, case), in CGS units; every
@@ -23,7 +24,7 @@ stage's parameters are one flat vector. `predict.jl` runs all stages of a traine
 module PCNDECore
 
 using ForwardDiff: ForwardDiff, Dual
-using LinearAlgebra: LinearAlgebra, Adjoint, axpy!, dot, mul!, norm, rmul!
+using LinearAlgebra: LinearAlgebra, Adjoint, I, axpy!, dot, mul!, norm, rmul!
 using LineSearches: BackTracking, LineSearchException, MoreThuente
 using Lux: Lux, Chain, Dense
 using NLSolversBase: NLSolversBase, OnceDifferentiable
@@ -46,6 +47,7 @@ include("over_cases.jl")
 include("flow_gradient_room.jl")
 include("flow.jl")
 include("flow_gradient.jl")
+include("physics_terms.jl")
 include("temporal_flow.jl")
 include("slope.jl")
 include("linear_area.jl")

@@ -57,7 +57,7 @@ A stage's result for every case on its own, (z, time, case).
 """
 function solve(stage::String, θ, inputs, z, period, config::Config)
     if stage == "flow"
-        return solve_flow(θ, inputs..., z, config.flow)
+        return solve_flow(θ, inputs..., z, config.flow, physics_terms(config, period))
     elseif stage == "intermediate_area"
         return solve_intermediate_area(θ, inputs..., period, z, config.intermediate_area)
     elseif stage == "temporal_pressure"
@@ -132,8 +132,9 @@ end
 
 function problem(stage, inputs, target, z, period, config::Config)
     if stage == "flow"
-        inflow, area = inputs
-        return FlowProblem(inflow, area, target, z, config.flow)
+        return FlowProblem(
+            inputs..., target, z, config.flow, physics_terms(config, period),
+        )
     elseif stage == "intermediate_area"
         return intermediate_area_problem(
             inputs..., target, period, z, config.intermediate_area,

@@ -11,28 +11,35 @@
 # the work. The error is measured on Q. The area's part of the first layer is linear in
 # S, and S is linear in z between the grid's points, so that part is computed once on
 # the grid and interpolated.
+#
+# Terms beside the network are not in the span of [W b]: with them (`physics_terms.jl`) the
+# state is Q − Q_in itself, Q = Q_in + I·(Q − Q_in), and all else is the same.
 
 """
     FlowRate
 
-Right-hand side dH/dz (state × case) of the reduced momentum equation, in place and
-free of allocations.
+The last hidden layer h̃ at a state and a position, in place and free of allocations: the
+right-hand side dH/dz (state × case) of the reduced momentum equation.
 """
 struct FlowRate{F}
     network::Network{F}
     z::Vector{Float64}          # cm
-    along::Matrix{Float64}      # (first hidden, state): first layer's flow part × last layer
+    along::Matrix{Float64}      # (first hidden, state): first layer's flow part × [W b] or I
     on_grid::Array{Float64, 3}  # (first hidden, case, z): the rest of the first layer
     activations::Activations
 end
 
 function (rate::FlowRate)(du, u, _, position)
+    copyto!(du, last_hidden!(rate, u, position))
+    return nothing
+end
+
+function last_hidden!(rate::FlowRate, u, position)
     a, cases = rate.activations, size(u, 2)
     drive!(a.before[1], rate.on_grid, rate.z, position)
     mul!(a.before[1], rate.along, u, 1.0, 1.0)
     forward!(a, rate.network, cases)
-    copyto!(du, a.after[end])
-    return nothing
+    return a.after[end]
 end
 
 """
@@ -67,9 +74,9 @@ Root-mean-square error of a step, measured on Q of all cases together and relati
 `atol + rtol·|Q|`, as the suite measures it when Q itself is the state. A step is
 accepted up to 1.
 """
-mutable struct FlowNorm <: Function
+mutable struct FlowNorm{L} <: Function
     const inflow::Matrix{Float64}   # (time, case)
-    const last::Matrix{Float64}     # (time, state): [W b]
+    const last::L                   # [W b] (time, state), or I
     const atol::Float64
     const rtol::Float64
     const flow_before::Matrix{Float64}
@@ -128,7 +135,7 @@ function record!(trajectory::Trajectory, start, length_, state, slopes)
 end
 
 """
-    FlowProblem(inflow, area, target, z, stage)
+    FlowProblem(inflow, area, target, z, stage, terms = nothing)
 
 The momentum equation for some cases that are stepped together.
 
@@ -140,8 +147,13 @@ The momentum equation for some cases that are stepped together.
     where no loss is wanted.
   - `z`: points, cm.
   - `stage`: a [`FlowStage`](@ref).
+  - `terms`: [`physics_terms`](@ref) of the stage, if it has some.
+
+# Throws
+
+`ArgumentError` if the stage has terms and none are given, or the other way round.
 """
-struct FlowProblem{F, I} <: Objective
+struct FlowProblem{F, T, L, I} <: Objective
     stage::FlowStage
     z::Vector{Float64}
     inflow::Matrix{Float64}         # (time, case)
@@ -149,7 +161,9 @@ struct FlowProblem{F, I} <: Objective
     offset::Matrix{Float64}         # (time, case·z): Q_in − target
     network::Network{F}
     rate::FlowRate{F}
-    norm::FlowNorm
+    terms::T                        # `nothing`, or a `TermsRate`
+    last::L                         # Q = Q_in + last·state: [W b], or I
+    norm::FlowNorm{L}
     integrator::I
     trajectory::Trajectory
     interpolation::Matrix{Float64}  # (z, 7): weights of a step's slopes, times its length
@@ -165,11 +179,16 @@ function FlowProblem(
     target::Array{Float64, 3},
     z::Vector{Float64},
     stage::FlowStage,
+    terms = nothing,
 )
+    if isempty(stage.terms) != isnothing(terms)
+        throw(ArgumentError("the flow stage has the terms $(stage.terms), given is $terms"))
+    end
     n_times, n_cases, n_points = size(inflow, 1), size(inflow, 2), length(z)
     widths = [2 * n_times; stage.hidden; n_times]
     network = Network(chain(widths, stage.activation))
-    n_state = stage.hidden[end] + 1
+    n_state = isnothing(terms) ? stage.hidden[end] + 1 : n_times
+    last = isnothing(terms) ? network.matrices[end] : I
     rate = FlowRate(
         network,
         z,
@@ -178,12 +197,17 @@ function FlowProblem(
         Activations(stage.hidden, n_cases),
     )
     like_flow() = zeros(n_times, n_cases)
+    on_grid() = zeros(n_times, n_cases * n_points)
+    area_on_grid = on_grid()
+    with_terms = isnothing(terms) ? nothing : TermsRate(terms, rate, inflow, area_on_grid)
     state = zeros(n_state, n_cases)
     norm = FlowNorm(
-        inflow, network.matrices[end], stage.atol, stage.rtol,
+        inflow, last, stage.atol, stage.rtol,
         like_flow(), like_flow(), like_flow(), state, state,
     )
-    equation = ODEProblem{true, SciMLBase.FullSpecialize}(rate, state, (z[1], z[end]))
+    equation = ODEProblem{true, SciMLBase.FullSpecialize}(
+        something(with_terms, rate), state, (z[1], z[end]),
+    )
     integrator = init(
         equation,
         Tsit5();
@@ -208,18 +232,20 @@ function FlowProblem(
         stage,
         z,
         inflow,
-        zeros(n_times, n_cases * n_points),
-        zeros(n_times, n_cases * n_points),
+        area_on_grid,
+        on_grid(),
         network,
         rate,
+        with_terms,
+        last,
         norm,
         integrator,
         Trajectory(),
         zeros(n_points, 7),
         zeros(Int, n_points),
         zeros(n_state, n_cases * n_points),
-        zeros(n_times, n_cases * n_points),
-        FlowGradientRoom(stage.hidden, n_cases, n_points),
+        on_grid(),
+        FlowGradientRoom(n_state, stage.hidden, n_cases, n_points),
     )
     return set_cases!(problem, inflow, area, target)
 end
@@ -236,6 +262,7 @@ function set_cases!(problem::FlowProblem, inflow, area, target)
     permutedims!(reshape(problem.area, shape), area, (2, 3, 1))
     permutedims!(reshape(problem.offset, shape), target, (2, 3, 1))
     reshape(problem.offset, shape) .= problem.inflow .- reshape(problem.offset, shape)
+    isnothing(problem.terms) || set_area_slope!(problem.terms, area)
     return problem
 end
 
@@ -272,9 +299,9 @@ function march!(problem::FlowProblem)
 end
 
 function first_layer_on_grid!(problem::FlowProblem)
-    (; inflow, area, network, rate) = problem
-    n_times, n_cases = size(inflow)
-    first, last = network.matrices[1], network.matrices[end]
+    (; inflow, area, network, rate, last) = problem
+    n_times = size(inflow, 1)
+    first = network.matrices[1]
     from_flow = view(first, :, 1:n_times)
     from_area = view(first, :, (n_times + 1):(2 * n_times))
     mul!(rate.along, from_flow, last)
@@ -325,8 +352,8 @@ end
 `residual` as Q − target, mL/s, (time, case·z), from the states.
 """
 function residual!(problem::FlowProblem)
-    (; offset, residual, network, states) = problem
-    mul!(copyto!(residual, offset), network.matrices[end], states, 1.0, 1.0)
+    (; offset, residual, last, states) = problem
+    mul!(copyto!(residual, offset), last, states, 1.0, 1.0)
     return residual
 end
 
@@ -340,7 +367,7 @@ function value!(problem::FlowProblem, parameters)
 end
 
 """
-    solve_flow(parameters, inflow, area, z, stage)
+    solve_flow(parameters, inflow, area, z, stage, terms = nothing)
 
 Q, mL/s, (z, time, case), of every case with steps of its own, so that it does not
 depend on the cases beside it.
@@ -359,13 +386,14 @@ function solve_flow(
     area::Array{Float64, 3},
     z::Vector{Float64},
     stage::FlowStage,
+    terms = nothing,
 )
     flow = similar(area)
     n_points, n_times, n_cases = size(area)
     no_target = zeros(n_points, n_times, 1)
     over_cases(n_cases) do cases
         first = cases[1:1]
-        problem = FlowProblem(inflow[:, first], area[:, :, first], no_target, z, stage)
+        problem = FlowProblem(inflow[:, first], area[:, :, first], no_target, z, stage, terms)
         for case in cases
             one = case:case
             set_cases!(problem, view(inflow, :, one), @view(area[:, :, one]), no_target)

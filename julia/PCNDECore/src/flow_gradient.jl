@@ -10,7 +10,7 @@
 
 function make_room!(room::FlowGradientRoom, hidden::Vector{Int}, columns::Int)
     size(room.inputs, 2) >= columns && return room
-    room.inputs = zeros(hidden[end] + 1, columns)
+    room.inputs = zeros(size(room.inputs, 1), columns)
     room.activations = Activations(hidden, columns)
     room.deltas = [zeros(width, columns) for width in hidden]
     return room
@@ -21,17 +21,17 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
         fill!(gradient, NaN)
         return Inf
     end
-    (; network, rate, room, states, inflow, area) = problem
+    (; network, last, room, inflow, area) = problem
     residual = residual!(problem)
     loss = scale(problem) * dot(residual, residual)
     rmul!(residual, 2 * scale(problem))
-    last = network.matrices[end]
     mul!(room.state_slopes, last', residual)
     evaluate_again!(problem)
-    through_the_steps!(problem)
+    fill!(gradient, 0.0)
+    parts = parts_of(gradient, network)
+    through_the_steps!(parts, problem)
 
     # Parameters, layer by layer, from all evaluations at once.
-    parts = parts_of(gradient, network)
     columns = length(room.positions) * size(inflow, 2)
     first_columns(a) = view(a, :, 1:columns)
     for layer in 2:(length(parts) - 1)
@@ -39,10 +39,8 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
         mul!(parts[layer], deltas, first_columns(room.activations.after[layer - 1])')
     end
     n_times = size(inflow, 1)
-    from_flow = view(network.matrices[1], :, 1:n_times)
     mul!(room.along, first_columns(room.deltas[1]), first_columns(room.inputs)')
-    mul!(parts[end], residual, states')
-    mul!(parts[end], from_flow', room.along, 1.0, 1.0)
+    isnothing(problem.terms) && last_layer!(parts[end], problem)
     constant = room.constant
     sum!(reshape(constant, size(constant)..., 1), room.on_grid)
     by_flow = view(parts[1], :, 1:n_times)
@@ -52,6 +50,20 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
     mul!(by_area, reshape(room.on_grid, size(room.on_grid, 1), :), area')
     sum!(view(parts[1], :, 2 * n_times + 1), constant)
     return loss
+end
+
+"""
+    last_layer!(part, problem)
+
+The loss by [W b], which acts in Q = Q_in + [W b]·H and in its product with the first layer.
+With terms it acts in each evaluation; see [`back!`](@ref).
+"""
+function last_layer!(part, problem::FlowProblem)
+    (; network, room, states, residual) = problem
+    from_flow = view(network.matrices[1], :, 1:size(residual, 1))
+    mul!(part, residual, states')
+    mul!(part, from_flow', room.along, 1.0, 1.0)
+    return part
 end
 
 """
@@ -107,11 +119,11 @@ end
 block(number, cases) = ((number - 1) * cases + 1):(number * cases)
 
 """
-    through_the_steps!(problem)
+    through_the_steps!(parts, problem)
 
 From the last step to the first: the loss's derivatives by each evaluation's layers.
 """
-function through_the_steps!(problem::FlowProblem)
+function through_the_steps!(parts, problem::FlowProblem)
     (; room, trajectory, interpolation, step_of, z) = problem
     (; slopes, state, carried, change) = room
     n_points = length(z)
@@ -130,7 +142,7 @@ function through_the_steps!(problem::FlowProblem)
         mul!(slopes, inside, view(interpolation, (point + 1):last, :))
         axpy!(1.0, carried, view(slopes, :, 7))
         # The seventh slope is taken at the state after the step.
-        back!(problem, 6 * j + 1, view(slopes, :, 7))
+        back!(parts, problem, 6 * j + 1, view(slopes, :, 7))
         axpy!(1.0, vec(change), state)
         for i in 1:6
             axpy!(length_ * TSIT5_A[i, 7], state, view(slopes, :, i))
@@ -139,7 +151,7 @@ function through_the_steps!(problem::FlowProblem)
             axpy!(1.0, view(inside, :, k), state)
         end
         for i in 6:-1:2
-            back!(problem, 6 * j + i - 6, view(slopes, :, i))
+            back!(parts, problem, 6 * j + i - 6, view(slopes, :, i))
             axpy!(1.0, vec(change), state)
             for l in 1:(i - 1)
                 axpy!(length_ * TSIT5_A[l, i], vec(change), view(slopes, :, l))
@@ -147,24 +159,39 @@ function through_the_steps!(problem::FlowProblem)
         end
         copyto!(carried, view(slopes, :, 1))
     end
-    back!(problem, 1, carried)
+    back!(parts, problem, 1, carried)
     return nothing
 end
 
 """
-    back!(problem, number, by_slope)
+    back!(parts, problem, number, by_slope)
 
-Vector–Jacobian product of one evaluation of the network: from the loss's derivative
-by its result (state·case) to that by its input (`change`), by the hidden layers
+Vector–Jacobian product of one evaluation of the right-hand side: from the loss's derivative
+by its result (state·case) to that by the state (`change`) and, as far as it is not that of
+all evaluations at once, to the gradient's parts, which it adds to.
+"""
+function back!(parts, problem::FlowProblem, number::Int, by_slope)
+    by_slope = reshape(by_slope, :, size(problem.inflow, 2))
+    if isnothing(problem.terms)
+        back_through_layers!(problem, number, by_slope)
+    else
+        back_through_terms!(parts, problem, number, by_slope)
+    end
+    return nothing
+end
+
+"""
+    back_through_layers!(problem, number, factor)
+
+Vector–Jacobian product of one evaluation of the hidden layers: from the loss's derivative
+by the last one (hidden, case) to that by the state (`change`), by the hidden layers
 (`deltas`) and by the first layer's part on the grid.
 """
-function back!(problem::FlowProblem, number::Int, by_slope)
+function back_through_layers!(problem::FlowProblem, number::Int, factor)
     (; network, rate, room, z) = problem
     (; change, deltas, activations, on_grid) = room
-    cases = size(change, 2)
-    columns = block(number, cases)
+    columns = block(number, size(change, 2))
     σ = network.activation
-    factor = reshape(by_slope, :, cases)
     top = length(deltas)
     delta = view(deltas[top], :, columns)
     times_derivative!(

@@ -1,5 +1,5 @@
 """
-    FlowGradientRoom(hidden, cases, points)
+    FlowGradientRoom(n_state, hidden, cases, points)
 
 Arrays of the gradient. Those that hold every evaluation of the network side by side
 grow with the number of steps.
@@ -20,8 +20,7 @@ mutable struct FlowGradientRoom
     deltas::Vector{Matrix{Float64}}     # per hidden layer (width, case·evaluation)
 end
 
-function FlowGradientRoom(hidden::Vector{Int}, cases::Int, points::Int)
-    n_state = hidden[end] + 1
+function FlowGradientRoom(n_state::Int, hidden::Vector{Int}, cases::Int, points::Int)
     return FlowGradientRoom(
         zeros(hidden[1], cases),
         zeros(n_state, cases * points),

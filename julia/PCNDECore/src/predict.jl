@@ -21,7 +21,7 @@ without parameters of the pressure stages the pressure is `nothing`.
   - `area_undeformed`: S_u, cm², (z, case).
   - `z`, `period`: points, cm, and length of the cycle, s.
   - `passes`: how often flow and area are solved, one after the other.
-  - `config`: a [`Config`](@ref).
+  - `config`: a [`Config`](@ref), without physics terms.
 
 # Throws
 

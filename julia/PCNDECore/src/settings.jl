@@ -28,10 +28,12 @@ Base.@kwdef struct Optimiser
 end
 
 """
-Momentum equation; `first_step` in cm, `nothing` for the grid's first spacing; `steps` equal
-steps in place of adaptive ones.
+Momentum equation; `terms` beside the network are `"friction"`, `"convection"` and
+`"inertia"`; `first_step` in cm, `nothing` for the grid's first spacing; `steps` equal steps
+in place of adaptive ones.
 """
 Base.@kwdef struct FlowStage
+    terms::Vector{String} = String[]
     hidden::Vector{Int} = [8, 8, 8, 8]
     activation::String = "tanh"
     rtol::Float64 = 1e-3

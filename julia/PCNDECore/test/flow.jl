@@ -1,18 +1,23 @@
 """
 The momentum equation as the paper states it: Q itself is stepped, Lux evaluates the
-network, and the suite measures the error and interpolates.
+network, and the suite measures the error and interpolates. `beside` of Q, S and ∂S/∂z is
+added to the network.
 """
-function flow_by_the_suite(parameters, stage, columns)
+function flow_by_the_suite(
+    parameters, stage, columns; inflow = data.inflow, beside = (q, s, slope) -> zero(q),
+)
     model = chain(flow_widths(stage), stage.activation)
     ps, st = lux_parameters(model, parameters)
     area = data.area[:, :, columns]
+    area_slope = PCNDECore.slope_along_z(area, z)
     function f!(dq, q, _, position)
         i, share = PCNDECore.interval(z, position)
-        s = (1 - share) .* area[i, :, :] .+ share .* area[i + 1, :, :]
-        dq .= first(Lux.apply(model, [q; s], ps, st))
+        here(a) = (1 - share) .* a[i, :, :] .+ share .* a[i + 1, :, :]
+        s = here(area)
+        dq .= first(Lux.apply(model, [q; s], ps, st)) .+ beside(q, s, here(area_slope))
         return nothing
     end
-    equation = ODEProblem(f!, data.inflow[:, columns], (z[1], z[end]))
+    equation = ODEProblem(f!, inflow[:, columns], (z[1], z[end]))
     solution = SciMLBase.solve(
         equation, Tsit5();
         dt = PCNDECore.first_step(stage, z), adaptive = isnothing(stage.steps),

@@ -1,10 +1,11 @@
 using PCNDECore
 using PCNDECore:
     Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
-    Network, Objective, Optimiser, Physics, SolveError, SpatialPressure,
+    Network, Objective, Optimiser, Physics, PhysicsTerms, SolveError, SpatialPressure,
     SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
     TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
-    intermediate_area_problem, lbfgs, lux_parameters, residual!, solve, solve_flow,
+    intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!, solve,
+    solve_flow,
     solve_intermediate_area, solve_temporal_flow, value!, value_and_gradient!
 using LinearAlgebra
 using LineSearches: BackTracking
@@ -71,6 +72,7 @@ end
 @testset "PCNDECore" begin
     include("network.jl")
     include("flow.jl")
+    include("physics_terms.jl")
     include("temporal_flow.jl")
     include("area.jl")
     include("pressure.jl")
