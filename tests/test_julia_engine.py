@@ -20,7 +20,7 @@ import pytest
 
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.doctor import examine
-from pcnde_bridge.engines import julia
+from pcnde_bridge.engines import julia, select_engine
 from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs, Grid
 from pcnde_bridge.engines.julia import (
     JuliaEngine,
@@ -259,6 +259,11 @@ def test_versions(engine):
     assert engine.name == "julia"
     assert {"julia", "PCNDECore", "OrdinaryDiffEqTsit5", "Lux", "Optim"} <= set(engine.versions)
     assert all(version[0].isdigit() for version in engine.versions.values())
+
+
+@marked
+def test_it_travels_to_another_process_as_a_name(engine):
+    assert pickle.loads(pickle.dumps(engine)) is select_engine("julia")  # noqa: S301
 
 
 @marked

@@ -24,7 +24,6 @@ from pcnde_bridge.studies import (
     pointwise_errors,
     pressure_drops,
 )
-from pcnde_bridge.studies import noise as noise_module
 from pcnde_bridge.studies.activations import explained_variation, fit_pressure
 from pcnde_bridge.studies.noise import noisy_inputs
 
@@ -91,8 +90,7 @@ def test_no_noise_no_deviation(toy_model, hardest):
     assert max(study.spread().values()) < 1e-14
 
 
-def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest, toy_engine, monkeypatch):
-    monkeypatch.setattr(noise_module, "select_engine", lambda engine: toy_engine)
+def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest):
     here = noise_study(toy_model, hardest, draws=70)
     with ThreadPoolExecutor(2) as executor:
         there = noise_study(toy_model, hardest, draws=70, executor=executor)

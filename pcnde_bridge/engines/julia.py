@@ -44,6 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
     Fit,
     FlowInputs,
@@ -716,6 +717,10 @@ class JuliaEngine:
         self.temporal_flow: JuliaStage[TemporalFlowInputs] = JuliaStage(
             self._julia, "temporal_flow"
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as a name: Julia's functions cannot."""
+        return select_engine, (self.name,)
 
     def predict(
         self,

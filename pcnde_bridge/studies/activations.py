@@ -15,13 +15,12 @@ import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import Activation, PCNDEConfig
-from pcnde_bridge.engines import Engine, EngineName, select_engine
-from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.engines.base import Engine, Grid
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
-from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
 from pcnde_bridge.training import Trainer, TrainingState, plan
 
@@ -85,11 +84,10 @@ def activation_study(
             f"Give at least one seed and activations of {list(get_args(Activation))}, got "
             f"{list(activations)} and the seeds {list(seeds)}."
         )
-    engine = portable(model.engine, executor)
     pairs = [(activation, int(seed)) for activation in activations for seed in seeds]
     tasks = {
         f"{name}, seed {seed}": (
-            engine,
+            model.engine,
             config.replace(temporal_pressure={"activation": name}),
             model.parameters,
             seed,
@@ -119,7 +117,7 @@ def fit_pressure(
 
 
 def _fit_and_measure(
-    engine: Engine | EngineName,
+    engine: Engine,
     config: PCNDEConfig,
     parameters: Parameters,
     seed: int,
@@ -127,14 +125,13 @@ def _fit_and_measure(
     test: Cases | None,
 ) -> dict[str, Any]:
     """Errors of the pressure with one activation."""
-    computing = select_engine(engine)
-    fitted = fit_pressure(computing, config, parameters, seed, train)
+    fitted = fit_pressure(engine, config, parameters, seed, train)
     row = {}
     for name, cases in (("train", train), ("test", test)):
         if cases is None:
             continue
         grid = Grid(cases.time, cases.z, cases.period)
-        solved = computing.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
+        solved = engine.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
         assert solved.pressure is not None
         row[name] = relative_error(solved.pressure, cases.pressure)
         row[f"{name}_explained"] = explained_variation(solved.pressure, cases.pressure)

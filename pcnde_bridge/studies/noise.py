@@ -19,13 +19,12 @@ import pandas as pd
 from pcnde_bridge import recipes
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.engines import Engine, EngineName, select_engine
-from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.base import Engine, Grid, Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import VARIABLES
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
-from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
 
 Array = npt.NDArray[np.float64]
@@ -153,7 +152,7 @@ def noise_study(
     exact = count * size - draws
     inflow, area_undeformed = noisy_inputs(case, noisy, level, draws, seed, exact)
     blocks = [slice(i, i + size) for i in range(0, count * size, size)]
-    trained = (portable(model.engine, executor), model.config, model.parameters)
+    trained = (model.engine, model.config, model.parameters)
     grid = Grid(case.time, case.z, case.period)
     tasks = {
         f"draws from {block.start}": (*trained, inflow[block], area_undeformed[block], grid)
@@ -200,7 +199,7 @@ def noisy_inputs(
 
 
 def _predict(
-    engine: Engine | EngineName,
+    engine: Engine,
     config: recipes.Config,
     parameters: Parameters | ClosureParameters,
     inflow: Array,
@@ -208,4 +207,4 @@ def _predict(
     grid: Grid,
 ) -> Solution:
     """Flow, area and pressure of some draws."""
-    return recipes.predict(select_engine(engine), config, parameters, inflow, area_undeformed, grid)
+    return recipes.predict(engine, config, parameters, inflow, area_undeformed, grid)
