@@ -23,7 +23,7 @@ from rich.text import Text
 from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
-from pcnde_bridge.errors import FileError, InputError, PCNDEError
+from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
 from pcnde_bridge.files import atomic_write, check_writable
 
 if TYPE_CHECKING:
@@ -170,26 +170,29 @@ def cross_validate_(
 
     settings = _settings(preset, config)
     _check_writable(csv)
-    table = cross_validate(
-        _split(load_cases(data), split)["train"],
-        settings,
-        engine.value,
-        seed,
-        executor=processes(workers),
-        folder=folder,
-    )
+    train = _split(load_cases(data), split)["train"]
+    try:
+        table = cross_validate(
+            train, settings, engine.value, seed, executor=processes(workers), folder=folder
+        )
+    except KeyboardInterrupt:
+        if folder is None:
+            raise
+        raise _interrupted(f"The finished fits are in {folder}") from None
     if csv is not None:
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
-    variables = [name for name in ("flow", "area", "pressure") if name in table]
     names = [" ".join(map(str, key)) for key in table.index.to_list()]
-    errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
-    for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
-        errors[f"mean, {label}"] = mean
-    _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
+    if variables := [name for name in ("flow", "area", "pressure") if name in table]:
+        errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
+        for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
+            errors[f"mean, {label}"] = mean
+        _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
     for name, why in zip(names, table["failure"], strict=True):
         if isinstance(why, str):
             _say(f"{name}: {why}")
+    if table["failure"].notna().all():
+        raise TaskError("All fits failed.")
 
 
 @app.command()

@@ -15,6 +15,7 @@ from pcnde_bridge import (
     FileError,
     InputError,
     OutsideTrainingWarning,
+    SolveError,
     TaskError,
     cross_validate,
     load_model,
@@ -422,6 +423,27 @@ def test_cross_validation_on_the_command_line(commands, small_cases, config, eng
     assert "mean, waveform" in printed
     written = pd.read_csv("table.csv", index_col=["label", "value"])
     np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
+
+
+def test_a_cross_validation_that_is_interrupted_names_its_folder(commands, engine, monkeypatch):
+    interrupt_at(engine, monkeypatch, 8)
+    code, _, err = commands("cross-validate", "--folder", "kept")
+    assert code == 130
+    assert "The finished fits are in kept: run the same command again" in err
+    code, printed, _ = commands("cross-validate", "--folder", "kept")
+    assert code == 0
+    assert "mean, geometry" in printed
+
+
+def test_a_cross_validation_without_any_result_is_a_failure(commands, engine, monkeypatch):
+    def lost(*args):
+        raise SolveError("It diverges.")
+
+    monkeypatch.setattr(engine.flow, "fit", lost)
+    code, printed, err = commands("cross-validate")
+    assert code == 1
+    assert "geometry 2: It diverges." in printed
+    assert "All fits failed" in err
 
 
 def test_bench_continues_its_training(commands, engine, tmp_path, monkeypatch):
