@@ -608,6 +608,16 @@ def test_reads_hdf5_of_others_and_of_ours(small_cases, vessel, tmp_path):
         read_hdf5(tmp_path / "theirs.h5", names={"Q": "flow"})
 
 
+def test_text_of_hdf5_is_unicode_however_it_is_stored(vessel, tmp_path):
+    with h5py.File(tmp_path / "cases.h5", "w") as file:
+        for name in (*FIELDS, "area_undeformed", "time", "z"):
+            file[name] = getattr(vessel, name)
+        file["labels/patient"] = ["Müller"]  # of variable length
+        file["labels/surgeon"] = np.char.encode(["Søren"], "utf-8")  # of fixed length
+    labels = read_hdf5(tmp_path / "cases.h5").labels
+    assert labels.loc[0, ["patient", "surgeon"]].tolist() == ["Müller", "Søren"]
+
+
 # ---- predictions out
 
 

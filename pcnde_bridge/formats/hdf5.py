@@ -87,8 +87,7 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
             for name in group if isinstance(group, h5py.Group) else ():
                 values = read_dataset(file, f"labels/{name}")
                 if values is not None:
-                    text = values.dtype.kind == "O"
-                    labels[name] = values.astype("S").astype(str) if text else values
+                    labels[name] = values
     except Exception as error:  # damaged bytes can make the reader raise nearly anything
         raise FileError(f"{path} is no HDF5 file, or damaged: {error}.") from error
     if absent := [name for name in NAMES if name not in arrays]:
