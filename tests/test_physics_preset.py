@@ -21,9 +21,10 @@ from test_closures import (
 
 from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.closures.uncertainty import parts
 from pcnde_bridge.config import PHYSICS, ClosureConfig
-from pcnde_bridge.engines import why_not_julia
+from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -219,6 +220,19 @@ def test_finished_checkpoint_gives_the_model_at_once(model, cases, tmp_path):
     assert same_numbers(first, again)
     assert same_numbers(first, model)
     assert records == []
+
+
+def test_going_on_with_another_engine_is_told(cases, started, caplog):
+    trainer = ClosureTrainer(cases, CONFIG, select_engine("jax"), started)
+    trainer.start(0)
+    assert caplog.text == ""
+    trainer = ClosureTrainer(cases, CONFIG, OtherEngine(), started)
+    assert trainer.start(0).vectors.keys() == {"outlet", "losses"}
+    assert "was written with the jax engine and continues with other" in caplog.text
+
+
+class OtherEngine:
+    name, closures = "other", None
 
 
 @pytest.fixture(scope="module")

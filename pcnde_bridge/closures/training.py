@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.checkpoints import Checkpoint
+from pcnde_bridge.checkpoints import Checkpoint, tell_of_other_engine
 from pcnde_bridge.closures import fit
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, parts
@@ -240,6 +240,7 @@ class ClosureTrainer:
         self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
     ) -> ClosureState:
         try:
+            before = facts["provenance"]["engine"]
             history = tuple(histories.from_array(arrays["history"]))
             state = ClosureState(
                 facts["seed"], {name: arrays[name] for name in facts["vectors"]}, history
@@ -258,6 +259,7 @@ class ClosureTrainer:
                 raise InputError(
                     f"{path} belongs to a run {what}. Give the same, or another checkpoint file."
                 )
+        tell_of_other_engine(path, before, self._engine.name)
         return state
 
 
