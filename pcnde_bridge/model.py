@@ -598,27 +598,46 @@ class PCNDE:
         InputError
             Naming the first difference.
         """
-        if self.any_grid:
-            return
-        for name, mine, theirs in (
-            ("time", self.grid.time - self.grid.time[0], cases.time - cases.time[0]),
-            ("z", self.grid.z, cases.z),
-        ):
-            if mine.shape != theirs.shape:
-                raise InputError(
-                    f"The cases have {theirs.size} values of {name}, but the model was trained on "
-                    f"{mine.size}: bring the cases to the model's grid (model.grid.{name})."
-                )
-            if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
-                index = int(np.abs(mine - theirs).argmax())
-                raise InputError(
-                    f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
-                    f"model: bring the cases to the model's grid (model.grid.{name})."
-                )
-        if not math.isclose(self.grid.period, cases.period, rel_tol=1e-6):
+        if not self.any_grid:
+            check_grid(self.grid, cases)
+
+
+def check_grid(trained: Grid, cases: Cases, where: str = "model.grid") -> None:
+    """Raise unless cases are on the grid that a model was trained on.
+
+    Parameters
+    ----------
+    trained : Grid
+        Of the training cases.
+    cases : Cases
+        To be predicted.
+    where : str
+        What holds the model's grid, for the message.
+
+    Raises
+    ------
+    InputError
+        Naming the first difference.
+    """
+    for name, mine, theirs in (
+        ("time", trained.time - trained.time[0], cases.time - cases.time[0]),
+        ("z", trained.z, cases.z),
+    ):
+        if mine.shape != theirs.shape:
             raise InputError(
-                f"The cases' period is {cases.period:g} s, the model's {self.grid.period:g} s."
+                f"The cases have {theirs.size} values of {name}, but the model was trained on "
+                f"{mine.size}: bring the cases to the model's grid ({where}.{name})."
             )
+        if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
+            index = int(np.abs(mine - theirs).argmax())
+            raise InputError(
+                f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
+                f"model: bring the cases to the model's grid ({where}.{name})."
+            )
+    if not math.isclose(trained.period, cases.period, rel_tol=1e-6):
+        raise InputError(
+            f"The cases' period is {cases.period:g} s, the model's {trained.period:g} s."
+        )
 
 
 def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:

@@ -209,6 +209,12 @@ def test_bad_arguments_of_the_activations(toy_model, small_cases, change, words)
         activation_study(toy_model, small_cases, **change)
 
 
+def test_activations_need_the_models_grid(toy_model, small_cases, other_period):
+    for train, test in ((other_period, None), (small_cases, other_period)):
+        with pytest.raises(InputError, match=r"is 0\.76 in the cases but 0\.95 in"):
+            activation_study(toy_model, train, test)
+
+
 def test_physics_models_have_neither_network_nor_fourier_stage(small_cases, toy_model):
     toy_model.config = PHYSICS
     with pytest.raises(InputError, match="no pressure network"):

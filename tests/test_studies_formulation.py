@@ -279,6 +279,11 @@ def test_variation_is_total_variation_along_z():
     assert variation(np.ones((2, 3, 11))) == 0
 
 
+def test_formulations_need_one_grid(small_cases, other_period):
+    with pytest.raises(InputError, match=r"is 0\.76 in the cases but 0\.95 in"):
+        compare_formulations(small_cases, other_period)
+
+
 def test_formulations_need_known_names(small_cases):
     with pytest.raises(InputError, match="tempral"):
         compare_formulations(small_cases, formulations=("tempral",), engine="jax")

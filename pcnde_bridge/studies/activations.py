@@ -70,7 +70,8 @@ def activation_study(
     Raises
     ------
     InputError
-        If the model has no pressure network, or an argument is not usable.
+        If the model has no pressure network, cases are not on its grid, or an argument is
+        not usable.
     """
     config = model.config
     if not isinstance(config, PCNDEConfig) or not isinstance(model.parameters, Parameters):
@@ -84,6 +85,9 @@ def activation_study(
             f"Give at least one seed and activations of {list(get_args(Activation))}, got "
             f"{list(activations)} and the seeds {list(seeds)}."
         )
+    for cases in (train, test):
+        if cases is not None:
+            model.check_grid(cases)
     pairs = [(activation, int(seed)) for activation in activations for seed in seeds]
     tasks = {
         f"{name}, seed {seed}": (

@@ -35,6 +35,7 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.history import Iteration, Recorder
 from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.metrics import compared, relative_error
+from pcnde_bridge.model import check_grid
 from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.progress import TrainingProgress
 from pcnde_bridge.training import TrainingState
@@ -174,11 +175,13 @@ def compare_formulations(
     Raises
     ------
     InputError
-        If there is no such formulation.
+        If there is no such formulation, or the test cases are not on the training cases' grid.
     """
     unknown = set(formulations) - set(FORMULATIONS)
     if unknown:
         raise InputError(f"Unknown formulations {sorted(unknown)}; choose from {FORMULATIONS}.")
+    if test is not None:
+        check_grid(Grid(train.time, train.z, train.period), test, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
     batches = TrainingState.start(train, config.replace(training="batches"), seed).batches
