@@ -302,9 +302,10 @@ def predict(
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
         prediction = fitted.predict(q, s_u, **draws)
-    prediction.save(out)
+    files = prediction.save(out)
+    where = out if out in files else f"{files[0]} to {files[-1].name}"
     cases = "case" if len(prediction) == 1 else "cases"
-    _out.print(f"Saved {len(prediction)} {cases} in {out}.", highlight=False, soft_wrap=True)
+    _out.print(f"Saved {len(prediction)} {cases} in {where}.", highlight=False, soft_wrap=True)
 
 
 @app.command()

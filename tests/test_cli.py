@@ -358,6 +358,17 @@ def test_predict_many_waveforms_in_one_vessel(folder, tmp_path, run, small_model
     assert np.array_equal(Cases.load(out).flow, expected.flow)
 
 
+def test_predict_names_the_files_that_it_wrote(folder, tmp_path, run):
+    pytest.importorskip("vtkmodules")
+    code, printed, _ = run(
+        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
+        "--area", folder / "area.csv", "--out", tmp_path / "p.vtp", "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    assert f"Saved 12 cases in {tmp_path / 'p_000.vtp'} to p_011.vtp." in printed
+    assert len(list(tmp_path.iterdir())) == 12
+
+
 def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     def refused(model="model.pcnde", inflow="inflow.csv", area="area.csv", out="result.csv"):
         code, printed, err = run(

@@ -657,10 +657,10 @@ def test_to_xarray(prediction):
 
 
 def test_save_by_ending(prediction, tmp_path):
-    prediction.save(tmp_path / "p.h5")
+    assert prediction.save(tmp_path / "p.h5") == [tmp_path / "p.h5"]
     assert Cases.load(tmp_path / "p.h5") == prediction.to_cases()
     flow_only = replaced(prediction, pressure=None)
-    flow_only.save(tmp_path / "q.vtp")
+    assert flow_only.save(tmp_path / "q.vtp") == sorted(tmp_path.glob("q_*.vtp"))
     assert len(list(tmp_path.glob("q_*.vtp"))) == 3
     with pytest.raises(InputError, match=r"no pressure stages.*\.csv or \.vtp"):
         flow_only.save(tmp_path / "q.npz")
