@@ -629,6 +629,12 @@ def test_centrelines_round_trip(prediction, tmp_path):
     assert read_simvascular(paths[1]) == prediction.to_cases().select([1])
 
 
+def test_a_label_may_be_a_truth_value(prediction, tmp_path):
+    labels = prediction.labels.assign(treated=[True, False, True])
+    paths = write_vtp(replaced(prediction, labels=labels), tmp_path / "p.vtp")
+    assert read_simvascular(paths).labels["treated"].tolist() == [1, 0, 1]
+
+
 def test_the_animation_has_a_file_for_each_step(prediction, tmp_path):
     write_pvd(prediction, tmp_path / "p.pvd")
     rows = list(ET.parse(tmp_path / "p.pvd").getroot().iter("DataSet"))

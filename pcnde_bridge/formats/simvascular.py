@@ -356,7 +356,8 @@ def _polydata(prediction: Prediction, case: int, step: int | None) -> bytes:
             array = core.vtkStringArray()
             array.InsertNextValue(value)
         else:
-            array = to_vtk(np.array([value]), deep=True)
+            number = int(value) if isinstance(value, bool | np.bool_) else value  # VTK has no bool
+            array = to_vtk(np.array([number]), deep=True)
         array.SetName(name)
         data.GetFieldData().AddArray(array)
     writer = io.vtkXMLPolyDataWriter()
