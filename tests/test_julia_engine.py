@@ -20,7 +20,7 @@ import pytest
 
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.doctor import examine
-from pcnde_bridge.engines import julia, select_engine
+from pcnde_bridge.engines import julia, select_engine, why_not_julia
 from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs, Grid
 from pcnde_bridge.engines.julia import (
     JuliaEngine,
@@ -130,6 +130,17 @@ def test_another_core_is_named(bare):
     assert status.usable and str(copy) in status.warning and "differs" in status.warning
     (finding,) = (f for f in examine() if f.what == "engine julia")
     assert finding.good and finding.advice == status.warning
+
+
+@pytest.mark.parametrize("damaged", ["Manifest.toml", "Project.toml"])
+def test_a_project_that_cannot_be_read_is_not_usable(bare, damaged):
+    copy = shutil.copytree(julia_sources(), bare / "copy")
+    core_by_path(bare, copy)
+    folder = copy if damaged == "Project.toml" else bare / "project"
+    (folder / damaged).write_bytes(b"\xff")
+    status = julia_status()
+    assert not status.usable and "cannot be read: 'utf-8' codec" in status.message
+    assert "cannot be read" in why_not_julia()
 
 
 def test_a_core_that_does_not_fit_is_refused(bare):

@@ -156,7 +156,10 @@ def julia_status() -> JuliaStatus:
     try:
         return _status(_choice())
     except EngineUnavailableError as error:
-        return JuliaStatus(False, False, str(error), "environment", **_settings())
+        message = str(error)
+    except (OSError, ValueError) as error:  # files of a project that cannot be read
+        message = f"The Julia project cannot be read: {error}. {_prepare()}"
+    return JuliaStatus(False, False, message, "environment", **_settings())
 
 
 # --------------------------------------------------------------------- which Julia
