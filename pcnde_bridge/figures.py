@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,7 +26,6 @@ from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
-from pcnde_bridge.novelty import OutsideTrainingWarning
 from pcnde_bridge.synthetic import fewer_words
 from pcnde_bridge.tasks import Workers
 
@@ -96,10 +94,8 @@ class Material:
 
     @cached_property
     def _predicted(self) -> dict[str, Array]:
-        with warnings.catch_warnings():
-            # The truth is at hand: the errors show what extrapolation does.
-            warnings.simplefilter("ignore", OutsideTrainingWarning)
-            return self.model.predict(self.cases).variables()
+        # The truth is at hand: the errors show what extrapolation does.
+        return self.model.predict_silently(self.cases).variables()
 
     def predicted(self, of: Cases) -> dict[str, Array]:
         """Flow, area and pressure of some of the cases, by the model."""

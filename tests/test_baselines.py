@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, InputError
+from pcnde_bridge import PCNDE, Cases, InputError, OutsideTrainingWarning
 from pcnde_bridge.baselines import (
     FEM_WALL,
     ResponseSurface,
@@ -211,6 +212,16 @@ def test_bench_of_a_model(sets, small_config, toy_engine):
     for name, cases in sets.items():
         assert row.errors[name] == pooled_errors(model.predict(cases).variables(), cases)
     assert row.fit_seconds == model.provenance["seconds"]
+
+
+def test_bench_does_not_warn_of_what_its_errors_show(small_cases, small_config, toy_engine):
+    weak, strong = small_cases.select(waveform=[0, 1]), small_cases.select(waveform=[3])
+    model = PCNDE.fit(weak, small_config, engine=toy_engine, progress=False)
+    with pytest.warns(OutsideTrainingWarning):
+        model.predict(strong)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bench_model(model, {"test": strong})
 
 
 def test_rows_as_json(tmp_path):
