@@ -39,6 +39,7 @@ from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.tasks import Workers, run
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
@@ -166,9 +167,8 @@ class Ensemble:
         """
         if not isinstance(cases, Cases):
             raise InputError(f"Ensemble.fit needs a Cases, got {type(cases).__name__}.")
-        for name, value, least in (("members", members, 2), ("folds", folds, 2), ("seed", seed, 0)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-                raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
+        members, folds = whole("members", members, 2), whole("folds", folds, 2)
+        seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = same_everywhere(engine)
         left_out = parts(cases, folds)
@@ -177,15 +177,11 @@ class Ensemble:
                 f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."
             )
         everything = np.arange(len(cases))
-        tasks = {
-            f"member {k}": FitTask(cases, settings, engine, int(seed) + k) for k in range(members)
-        }
+        tasks = {f"member {k}": FitTask(cases, settings, engine, seed + k) for k in range(members)}
         for number, positions in enumerate(left_out):
             rest = cases.select(np.setdiff1d(everything, positions))
             for k in range(_LEFT_OUT_FITS):
-                tasks[f"without part {number}, {k}"] = FitTask(
-                    rest, settings, engine, int(seed) + k
-                )
+                tasks[f"without part {number}, {k}"] = FitTask(rest, settings, engine, seed + k)
         outcome = run(
             fit_model,
             tasks,
@@ -194,8 +190,8 @@ class Ensemble:
             folder=folder,
             facts={
                 **common_facts("ensemble", cases, settings, engine),
-                "seed": int(seed),
-                "folds": int(folds),
+                "seed": seed,
+                "folds": folds,
             },
             progress=progress,
         )
@@ -211,9 +207,9 @@ class Ensemble:
         if outcome.failures:
             warnings.warn(f"{outcome.complaint()} The ensemble is without them.", stacklevel=2)
         facts = {
-            **provenance(cases, fitted[0].engine, int(seed)),
+            **provenance(cases, fitted[0].engine, seed),
             "members": len(fitted),
-            "folds": int(folds),
+            "folds": folds,
             "failures": outcome.failures,
             "seconds": sum(float(model.provenance["seconds"]) for model in models.values()),
         }

@@ -29,6 +29,7 @@ from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.published_weights import read_published_weights
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
@@ -149,17 +150,16 @@ class PCNDE:
                 f"PCNDE.fit needs a Cases, got {type(cases).__name__}. "
                 "Make one with load_cases(path) or Cases(flow=..., ...)."
             )
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        trained = recipes.train(cases, settings, engine, int(seed), checkpoint, progress)
+        trained = recipes.train(cases, settings, engine, seed, checkpoint, progress)
         return cls(
             trained.config,
             trained.parameters,
             Grid(cases.time, cases.z, cases.period),
             engine,
-            {**provenance(cases, engine, int(seed)), **trained.facts},
+            {**provenance(cases, engine, seed), **trained.facts},
             trained.history,
             trained.uncertainty,
             Novelty.of(cases.inflow, cases.area_undeformed, cases.z),
@@ -325,14 +325,13 @@ class PCNDE:
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        if isinstance(batch, bool) or not isinstance(batch, int | np.integer) or batch < 1:
-            raise InputError(f"batch must be a positive whole number, got {batch!r}.")
+        batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
         self._warn(self._score(q, s_u, grid.z), q, s_u, grid.z)
 
         def predictions() -> Iterator[Prediction]:
-            for start in range(0, len(q), int(batch)):
-                rows = slice(start, min(start + int(batch), len(q)))
+            for start in range(0, len(q), batch):
+                rows = slice(start, min(start + batch, len(q)))
                 labels = _numbered(rows.start, rows.stop)
                 try:
                     yield self._predict(q[rows], s_u[rows], grid, labels, 0, 0)
@@ -419,10 +418,7 @@ class PCNDE:
         samples: int,
         seed: int,
     ) -> Prediction:
-        if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 0:
-            raise InputError(f"samples must be a whole number ≥ 0, got {samples!r}.")
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        samples, seed = whole("samples", samples), whole("seed", seed)
         if samples and self.uncertainty is None:
             raise InputError(
                 "This model has no uncertainty to draw samples from. Fit it with the preset "

@@ -278,7 +278,7 @@ def test_vessels_of_one_data_set_have_one_grid(vessel):
         ({"units": {"pressure": "bar"}}, "Unknown unit 'bar' of pressure; known are .*mmHg"),
         ({"units": {"presure": "Pa"}}, "units names 'presure'"),
         ({"flip": "area"}, "flip must be 'flow' or 'z'"),
-        ({"instants": 3}, "instants must be a whole number of at least 4"),
+        ({"instants": 3}, "instants must be a whole number ≥ 4"),
         ({"instants": 10.5}, "instants must be a whole number"),
         ({"period": -1.0}, "period must be a positive number"),
         ({"period": "1"}, "period must be a positive number"),

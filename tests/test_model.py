@@ -66,7 +66,7 @@ def test_fit_needs_cases(cases):
 
 @pytest.mark.parametrize("seed", [-1, 1.0, "0", None, True, [1]])
 def test_fit_needs_a_seed(small_cases, small_config, toy_engine, seed):
-    with pytest.raises(InputError, match="seed must be a non-negative integer"):
+    with pytest.raises(InputError, match="seed must be a whole number ≥ 0"):
         PCNDE.fit(small_cases, small_config, engine=toy_engine, seed=seed)
 
 

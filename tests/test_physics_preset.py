@@ -392,8 +392,8 @@ def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
     for arguments, options, message in (
         ((INFLOW, -AREA), {}, "areas are positive"),
         ((INFLOW, AREA[:3]), {}, "give as many"),
-        ((INFLOW, AREA), {"batch": 0}, "batch must be a positive whole number"),
-        ((INFLOW, AREA), {"batch": 2.5}, "batch must be a positive whole number"),
+        ((INFLOW, AREA), {"batch": 0}, "batch must be a whole number ≥ 1"),
+        ((INFLOW, AREA), {"batch": 2.5}, "batch must be a whole number ≥ 1"),
     ):
         with pytest.raises(InputError, match=message):
             model.predict_batches(*arguments, **options)

@@ -23,6 +23,7 @@ import pandas as pd
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.tables import read_frame
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 Flip = Literal["flow", "z"]
@@ -167,8 +168,8 @@ def to_cases(
         raise InputError("There are no results to make a data set of: name at least one file.")
     if flip not in (None, "flow", "z"):
         raise InputError(f"flip must be 'flow' or 'z', got {flip!r}.")
-    if instants is not None and not _whole(instants, 4):
-        raise InputError(f"instants must be a whole number of at least 4, got {instants!r}.")
+    if instants is not None:
+        instants = whole("instants", instants, 4)
     stated = _stated(units)
     known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(stated)
     vessels = []
@@ -239,11 +240,6 @@ def _with_keys(labels: pd.DataFrame) -> pd.DataFrame:
         if name not in labels:
             labels[name] = values
     return labels
-
-
-def _whole(value: Any, least: int) -> bool:
-    good = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return good and value >= least
 
 
 # ---- what the arrays hold ------------------------------------------------
@@ -521,9 +517,8 @@ def _on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Ves
     if points is None:
         return vessel
     if np.ndim(points) == 0:
-        if not _whole(points, 3):
-            raise InputError(f"points must be a whole number of at least 3, got {points!r}.")
-        z = np.linspace(vessel.z[0], vessel.z[-1], np.asarray(points).item())
+        count = whole("points", points, 3)
+        z = np.linspace(vessel.z[0], vessel.z[-1], count)
     else:
         z = np.asarray(points, dtype=np.float64)
         slack = _SAME_LENGTH * np.ptp(vessel.z)

@@ -26,6 +26,7 @@ from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
@@ -142,8 +143,7 @@ def noise_study(
         raise InputError(f"noisy must be one of {list(get_args(NoisyInput))}, got {noisy!r}.")
     if not (np.isfinite(level) and level >= 0):
         raise InputError(f"level must be a number ≥ 0, got {level!r}.")
-    if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 2:
-        raise InputError(f"draws must be a whole number ≥ 2, got {draws!r}.")
+    draws, seed = whole("draws", draws, 2), whole("seed", seed)
     model.check_grid(case)
     # Blocks of one size, as engines compile for each size.  What the draws leave of them
     # is filled with the exact input, of which one is needed anyway.
@@ -167,7 +167,7 @@ def noise_study(
     return NoiseStudy(
         noisy,
         float(level),
-        int(draws),
+        draws,
         case,
         {name: values[0] for name, values in drawn.items()},
         {name: values[exact:].mean(axis=0) for name, values in drawn.items()},
