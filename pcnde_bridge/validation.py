@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,3 +21,17 @@ def whole(name: str, value: Any, least: int = 0) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
     return int(value)
+
+
+def whole_seeds(seeds: Sequence[int]) -> list[int]:
+    """Return the seeds of a study.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is no whole number ≥ 0, or comes twice.
+    """
+    found = [whole(f"seeds[{number}]", seed) for number, seed in enumerate(seeds)]
+    if not found or len(set(found)) < len(found):
+        raise InputError(f"Give at least one seed, and none twice; got {found}.")
+    return found

@@ -257,8 +257,12 @@ def test_cross_validation(small_cases, config, engine, tmp_path):
     assert row[NUMBERS].tolist() == [*errors[0], *errors[1]]
     parallel = cross_validate(small_cases, config, engine, 3, executor=processes(2), progress=False)
     assert parallel[NUMBERS].equals(table[NUMBERS])
-    again = cross_validate(small_cases, config, engine, 3, folder=tmp_path, progress=False)
+    again = cross_validate(
+        small_cases, config, engine, np.int64(3), folder=tmp_path, progress=False
+    )
     pd.testing.assert_frame_equal(again, table)
+    with pytest.raises(InputError, match="seed must be a whole number ≥ 0, got -1"):
+        cross_validate(small_cases, config, engine, -1)
 
 
 def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
@@ -281,8 +285,10 @@ def test_a_sweep(small_cases, config, engine):
     alone = sweep(train, None, {"plain": config}, (0,), engine, progress=False)
     assert "flow" not in alone
     assert alone["train_flow"].iloc[0] == table["train_flow"].iloc[0]
-    with pytest.raises(InputError, match="at least one configuration and one seed"):
+    with pytest.raises(InputError, match="at least one configuration"):
         sweep(train, held, {}, (0,), engine)
+    with pytest.raises(InputError, match=r"none twice; got \[0, 0, 1\]"):
+        sweep(train, held, configs, [0, 0, 1], engine)
 
 
 # ---- what a file tells -----------------------------------------------------------------

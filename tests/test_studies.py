@@ -125,6 +125,7 @@ def test_what_goes_to_a_process_can_go(small_model, hardest):
         ({"level": np.nan}, "level must be"),
         ({"draws": 1}, "draws must be"),
         ({"draws": True}, "draws must be"),
+        ({"seed": -1}, "seed must be"),
     ],
 )
 def test_bad_arguments_of_the_noise(toy_model, hardest, change, words):
@@ -201,7 +202,10 @@ def test_explained_variation_by_hand():
     [
         ({"activations": ["cosine"]}, "cosine"),
         ({"activations": []}, "at least one"),
+        ({"activations": ["relu", "relu"]}, "none twice"),
         ({"seeds": []}, "at least one"),
+        ({"seeds": [0, 0]}, "none twice"),
+        ({"seeds": [-1]}, r"seeds\[0\] must be a whole number"),
     ],
 )
 def test_bad_arguments_of_the_activations(toy_model, small_cases, change, words):

@@ -287,6 +287,10 @@ def test_formulations_need_one_grid(small_cases, other_period):
 def test_formulations_need_known_names(small_cases):
     with pytest.raises(InputError, match="tempral"):
         compare_formulations(small_cases, formulations=("tempral",), engine="jax")
+    with pytest.raises(InputError, match="at least one formulation"):
+        compare_formulations(small_cases, formulations=())
+    with pytest.raises(InputError, match="seed must be a whole number"):
+        compare_formulations(small_cases, seed=-1)
 
 
 def test_figures_show_what_the_studies_hold(study, formulations):

@@ -23,6 +23,7 @@ from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
 from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
 from pcnde_bridge.training import Trainer, TrainingState, plan
+from pcnde_bridge.validation import whole_seeds
 
 Array = npt.NDArray[np.float64]
 
@@ -80,15 +81,16 @@ def activation_study(
             "changed. Give a model of the preset paper or fast."
         )
     unknown = [name for name in activations if name not in get_args(Activation)]
-    if unknown or not activations or not seeds:
+    if unknown or not activations or len(set(activations)) < len(activations):
         raise InputError(
-            f"Give at least one seed and activations of {list(get_args(Activation))}, got "
-            f"{list(activations)} and the seeds {list(seeds)}."
+            f"Give at least one activation of {list(get_args(Activation))}, and none twice; got "
+            f"{list(activations)}."
         )
+    seeds = whole_seeds(seeds)
     for cases in (train, test):
         if cases is not None:
             model.check_grid(cases)
-    pairs = [(activation, int(seed)) for activation in activations for seed in seeds]
+    pairs = [(activation, seed) for activation in activations for seed in seeds]
     tasks = {
         f"{name}, seed {seed}": (
             model.engine,

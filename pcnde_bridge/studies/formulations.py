@@ -39,6 +39,7 @@ from pcnde_bridge.model import check_grid
 from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.progress import TrainingProgress
 from pcnde_bridge.training import TrainingState
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
@@ -175,11 +176,14 @@ def compare_formulations(
     Raises
     ------
     InputError
-        If there is no such formulation, or the test cases are not on the training cases' grid.
+        If an argument is not usable, or the test cases are not on the training cases' grid.
     """
     unknown = set(formulations) - set(FORMULATIONS)
     if unknown:
         raise InputError(f"Unknown formulations {sorted(unknown)}; choose from {FORMULATIONS}.")
+    if not formulations:
+        raise InputError(f"Give at least one formulation of {FORMULATIONS}.")
+    seed = whole("seed", seed)
     if test is not None:
         check_grid(Grid(train.time, train.z, train.period), test, "train")
     chosen = select_engine(engine)
