@@ -489,6 +489,15 @@ def bench(
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.model import PCNDE
 
+    training = {
+        "--preset": preset != "paper",
+        "--config": config,
+        "--seed": seed,
+        "--checkpoint": checkpoint,
+    }
+    if model is not None and any(training.values()):
+        given = ", ".join(option for option, value in training.items() if value)
+        raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
     settings = _settings(preset, config)
     _check_writable(json_file)
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)

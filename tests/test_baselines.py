@@ -306,6 +306,10 @@ def test_bench_of_a_saved_model(run, folder, sets, small_config, toy_engine, mon
         (("absent",), "neither a file or folder"),
         (("cases.npz", "--model", "absent.npz"), "absent.npz"),
         (("cases.npz", "--preset", "slow"), "Unknown preset"),
+        (("cases.npz", "--model", "m", "--preset", "fast"), "leave out --model, or --preset"),
+        (("cases.npz", "--model", "m", "--config", "c.json"), "leave out --model, or --config"),
+        (("cases.npz", "--model", "m", "--seed", "1"), "leave out --model, or --seed"),
+        (("cases.npz", "--model", "m", "--checkpoint", "c"), "leave out --model, or --checkpoint"),
         (("cases.npz", "--json", "absent/bench.json"), "existing folder"),
     ],
 )
