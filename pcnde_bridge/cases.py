@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEWarning
 from pcnde_bridge.files import atomic_write, check_members, sha256_arrays
 from pcnde_bridge.h5 import read_dataset
 
@@ -41,7 +41,7 @@ _H5_SUFFIXES = (".h5", ".hdf5")
 _SUFFIXES = _NPZ_SUFFIXES + _H5_SUFFIXES
 
 
-class UnitsWarning(UserWarning):
+class UnitsWarning(PCNDEWarning):
     """The size of the numbers suggests that they are not in CGS units."""
 
 

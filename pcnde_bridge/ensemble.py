@@ -32,7 +32,7 @@ from pcnde_bridge.closures.uncertainty import calibrated_factor, parts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine, Grid
-from pcnde_bridge.errors import FileError, InputError, TaskError
+from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, TaskError
 from pcnde_bridge.fits import FitTask, common_facts, fit_model, model_of, same_everywhere
 from pcnde_bridge.metrics import VARIABLES, error_table
 from pcnde_bridge.model import PCNDE
@@ -155,7 +155,7 @@ class Ensemble:
 
         Warns
         -----
-        UserWarning
+        PCNDEWarning
             If some of the fits failed.
 
         Raises
@@ -205,7 +205,8 @@ class Ensemble:
         if len(fitted) < 2 or not held:
             raise TaskError(f"{outcome.complaint()} The rest make no ensemble.")
         if outcome.failures:
-            warnings.warn(f"{outcome.complaint()} The ensemble is without them.", stacklevel=2)
+            complaint = f"{outcome.complaint()} The ensemble is without them."
+            warnings.warn(complaint, PCNDEWarning, stacklevel=2)
         facts = {
             **provenance(cases, fitted[0].engine, seed),
             "members": len(fitted),

@@ -14,7 +14,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, SolveError, __version__, cli
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    OutsideTrainingWarning,
+    PCNDEWarning,
+    SolveError,
+    __version__,
+    cli,
+)
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.doctor import Finding
 
@@ -470,6 +478,18 @@ def test_bad_use(run):
         assert code == 0
         assert "Usage" in printed
     assert run("--version")[:2] == (0, f"{__version__}\n")
+
+
+def test_the_packages_warnings_have_no_line_of_code(capsys):
+    for category, has_line in (
+        (PCNDEWarning, False),
+        (OutsideTrainingWarning, False),
+        (UserWarning, True),
+    ):
+        cli._note_warning("It is so.", category, "somewhere.py", 7)
+        err = capsys.readouterr().err
+        assert "It is so." in err
+        assert ("somewhere.py:7" in err) == has_line
 
 
 def test_the_script_is_installed():

@@ -29,7 +29,7 @@ from pcnde_bridge.engines.julia import (
     julia_sources,
     julia_status,
 )
-from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
+from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 from pcnde_bridge.inference import undeformed
 from pcnde_bridge.parameters import initial_parameters
 
@@ -179,7 +179,7 @@ def test_signals_follow_the_threads(bare, monkeypatch):
 def test_a_julia_that_may_crash_is_warned_of(monkeypatch):
     monkeypatch.setattr(julia, "_warned", False)
     status = JuliaStatus(True, False, "", "running", threads="2", handle_signals="no")
-    with pytest.warns(RuntimeWarning, match="2 threads"):
+    with pytest.warns(PCNDEWarning, match="2 threads"):
         julia._warn_if_foreign(status)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -451,6 +451,8 @@ def test_a_julia_started_by_another_package_is_used():
         pytest.skip("the other package would start Julia elsewhere")
     done = run(
         "import warnings; warnings.simplefilter('error', RuntimeWarning)\n"
+        "from pcnde_bridge import PCNDEWarning\n"
+        "warnings.simplefilter('error', PCNDEWarning)\n"
         "from pcnde_bridge.engines import julia\n"
         "choice = julia._choice()\n"
         "import os; os.environ.update(choice.environment)\n"

@@ -15,6 +15,7 @@ from pcnde_bridge import (
     FileError,
     InputError,
     OutsideTrainingWarning,
+    PCNDEWarning,
     SolveError,
     TaskError,
     cross_validate,
@@ -176,7 +177,7 @@ class FailingEngine:
 
 def test_failed_fits_are_left_out_and_told(small_cases, config):
     fit = {"members": 3, "folds": 2, "progress": False, "retries": 0}
-    with pytest.warns(UserWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
+    with pytest.warns(PCNDEWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
         ensemble = Ensemble.fit(small_cases, config, FailingEngine({0}), **fit)
     assert len(ensemble.members) == 2
     assert list(ensemble.provenance["failures"]) == ["member 0"]

@@ -61,7 +61,7 @@ from pcnde_bridge.engines.base import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.engines.julia_closures import JuliaClosures
-from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
+from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 from pcnde_bridge.parameters import Parameters
 
 __all__ = ["JuliaEngine", "JuliaStatus", "julia_settings_file", "julia_sources", "julia_status"]
@@ -580,7 +580,7 @@ def _warn_if_foreign(status: JuliaStatus) -> None:
             f"Julia was already started by another package with {status.threads} threads but "
             "without its signals, and may crash. Make the pcnde_bridge engine first, or set "
             f"{_SIGNALS}=yes.",
-            RuntimeWarning,
+            PCNDEWarning,
             stacklevel=5,
         )
 
