@@ -43,7 +43,7 @@ from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-ensemble", 1
+FORMAT, FORMAT_VERSION = "pcnde-ensemble", 1
 _LEFT_OUT_FITS = 2  # without each part: the fewest that have a deviation
 
 
@@ -307,7 +307,7 @@ class Ensemble:
             members.append(facts)
             arrays |= {f"member_{number}_{name}": array for name, array in own.items()}
         facts = {"members": members, "provenance": self.provenance}
-        write_archive(path, _KIND, _VERSION, facts, arrays)
+        write_archive(path, FORMAT, FORMAT_VERSION, facts, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> Ensemble:
@@ -318,7 +318,7 @@ class Ensemble:
         FileError
             If the file is missing, truncated, foreign, or of a newer version.
         """
-        facts, arrays = read_archive(path, _KIND, _VERSION, "ensemble")
+        facts, arrays = read_archive(path, FORMAT, FORMAT_VERSION, "ensemble")
         try:
             members = []
             for number, own_facts in enumerate(facts["members"]):
@@ -345,7 +345,7 @@ def load_model(
     FileError
         If it holds neither.
     """
-    return (Ensemble if archive_kind(path) == _KIND else PCNDE).load(path, engine)
+    return (Ensemble if archive_kind(path) == FORMAT else PCNDE).load(path, engine)
 
 
 def _directions(count: int) -> Array:

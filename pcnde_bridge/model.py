@@ -33,7 +33,7 @@ from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-model", 1
+FORMAT, FORMAT_VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
 _FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
 # pandas takes longer to make these names than a case takes to be predicted.
@@ -509,7 +509,7 @@ class PCNDE:
         FileError
             If the file cannot be written.
         """
-        write_archive(path, _KIND, _VERSION, *self.to_archive())
+        write_archive(path, FORMAT, FORMAT_VERSION, *self.to_archive())
 
     def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """Return all that a file of the model holds: facts for JSON, and arrays."""
@@ -542,7 +542,7 @@ class PCNDE:
         FileError
             If the file is missing, truncated, foreign, or of a newer version.
         """
-        facts, arrays = read_archive(path, _KIND, _VERSION, "model")
+        facts, arrays = read_archive(path, FORMAT, FORMAT_VERSION, "model")
         return cls.from_archive(facts, arrays, engine, str(path))
 
     @classmethod

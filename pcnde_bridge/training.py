@@ -40,7 +40,7 @@ from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-checkpoint", 1
+FORMAT, FORMAT_VERSION = "pcnde-checkpoint", 1
 
 
 class Unit(NamedTuple):
@@ -194,7 +194,7 @@ class Trainer:
         self._grid = Grid(cases.time, cases.z, cases.period)
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
+            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
         self.on_record = on_record
 
     def total(self, state: TrainingState) -> int:

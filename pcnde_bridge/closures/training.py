@@ -26,7 +26,7 @@ from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-closures-checkpoint", 1
+FORMAT, FORMAT_VERSION = "pcnde-closures-checkpoint", 1
 
 _STILL = 0.01
 """Ends whose area varies by less, relative to the middle's, are clamped."""
@@ -111,7 +111,7 @@ class ClosureTrainer:
         self._engine, self._closures = engine, engine.closures
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
+            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
         folds = config.correction.folds
         self._left_out = parts(cases, folds) if folds else []
 
