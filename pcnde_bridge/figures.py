@@ -262,7 +262,8 @@ def _smoothness(material: Material) -> Drawn:
     study = studies.compare_formulations(
         material.train, material.test, config=_recipe(material), engine=material.model.engine
     )
-    return Drawn(plots.smoothness(study), study.to_frame())
+    figure = plots.smoothness(study, truth_label=material.truth_label)
+    return Drawn(figure, study.to_frame())
 
 
 def _landscapes(material: Material) -> Drawn:

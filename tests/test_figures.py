@@ -186,6 +186,15 @@ def test_predictions_keep_to_their_cases(material, small_cases):
         material.by_other(material.train)
 
 
+def test_smoothness_names_the_truth(material, monkeypatch):
+    seen, study = {}, SimpleNamespace(to_frame=pd.DataFrame)
+    monkeypatch.setattr(module.studies, "compare_formulations", lambda *_, **__: study)
+    monkeypatch.setattr(module.plots, "smoothness", lambda _, **options: seen.update(options))
+    material.truth_label = "1D solver"
+    module._smoothness(material)
+    assert seen == {"truth_label": "1D solver"}
+
+
 def test_outermost(small_cases):
     assert outermost(small_cases) == 11
     assert outermost(small_cases.select([11, 0, 5])) == 0

@@ -294,7 +294,11 @@ def test_formulations_need_known_names(small_cases):
 
 
 def test_figures_show_what_the_studies_hold(study, formulations):
-    figure = plots.smoothness(formulations, "test", case=1)
+    figure = plots.smoothness(formulations, "test", case=1, truth_label="1D solver")
+    assert [text.get_text() for text in figure.legends[0].texts][:2] == [
+        "1D solver",
+        "in space, $f(Q, S)$",
+    ]
     assert len(figure.axes) == 6
     lines = figure.axes[1].get_lines()
     assert len(lines) == 4

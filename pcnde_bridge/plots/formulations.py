@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLES = {
-    "3D": (TRUTH, "o", "3D, averaged"),
+    "3D": (TRUTH, "o", ""),  # the caller names it
     "spatial": (PREDICTED, "-", "in space, $f(Q, S)$"),
     "temporal": (OTHER, "-", "in time, $f(Q)$"),
     "temporal_with_time": ("#CC79A7", "--", "in time, $f(Q, t)$"),
@@ -39,7 +39,12 @@ _MOMENTS: dict[Moment, str] = {
 
 
 def smoothness(
-    study: FormulationStudy, part: str = "train", case: int = 0, position: float = 0.9
+    study: FormulationStudy,
+    part: str = "train",
+    case: int = 0,
+    position: float = 0.9,
+    *,
+    truth_label: str = "3D, averaged",
 ) -> Figure:
     """Plot flow, its slope and the area from continuity, in space and in time.
 
@@ -53,6 +58,8 @@ def smoothness(
         Which of them.
     position : float
         Where the lower row is taken, as a part of the vessel's length.
+    truth_label : str
+        What the cases are.
 
     Returns
     -------
@@ -77,6 +84,7 @@ def smoothness(
     for name in names:
         found = study.results[name, part]
         colour, style, label = _STYLES[name]
+        label = label or truth_label
         # The truth of the area is the data's, not what continuity makes of the true flow.
         area = cases.area if name == "3D" else found.continuity_area
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
