@@ -308,6 +308,8 @@ def test_figures_show_what_the_studies_hold(study, formulations):
     )
     with pytest.raises(InputError, match="no case"):
         plots.smoothness(formulations, "test", case=2)
+    with pytest.raises(InputError, match="from 0 to 1"):
+        plots.smoothness(formulations, "test", position=1.5)
     mesh = plots.landscapes(study).axes[0].collections[0]
     np.testing.assert_array_equal(mesh.get_array(), study.landscape("network", "initial").losses.T)
 
