@@ -56,7 +56,8 @@ def activation_study(
     seeds : sequence of int
         Of the pressure network's first weights; all activations are fitted with each.
     executor : Executor, or callable that makes one, optional
-        Who runs the fits; None runs them here.  The result is the same.
+        Who runs the fits; None runs them here.  The same bits come of
+        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
     progress : bool
         Show progress on standard error.
 

@@ -120,7 +120,8 @@ def noise_study(
     seed : int
         Of the noise.
     executor : Executor, or callable that makes one, optional
-        Who predicts the draws; None predicts them here.  The result is the same.
+        Who predicts the draws; None predicts them here.  The same bits come of
+        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
 
     Returns
     -------
