@@ -1,4 +1,4 @@
-"""Writing files atomically, and checksums of arrays and files."""
+"""Writing files atomically, and checksums of arrays."""
 
 from __future__ import annotations
 
@@ -182,34 +182,6 @@ def check_members(archive: zipfile.ZipFile, stored: int) -> None:
         if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
             raise RuntimeError(f"its member {name!r} leads out of it")
     check_claim(sum(member.file_size for member in archive.infolist()), stored)
-
-
-def sha256_file(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 checksum of a file, as 64 hexadecimal digits.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file to read.
-
-    Returns
-    -------
-    str
-        The checksum.
-
-    Raises
-    ------
-    FileError
-        When the file cannot be read.
-    """
-    digest = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as handle:
-            while block := handle.read(1 << 20):
-                digest.update(block)
-    except OSError as error:
-        raise FileError(f"cannot read {str(path)!r}: {error}") from error
-    return digest.hexdigest()
 
 
 def sha256_arrays(arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, get_args
 
 import numpy as np
@@ -30,14 +29,6 @@ from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
-
-PAPER_SPREAD: Mapping[str, Mapping[str, float]] = MappingProxyType(
-    {
-        "inflow": {"flow": 0.052, "area": 0.014, "pressure": 0.058},
-        "area_undeformed": {"flow": 0.00014, "area": 0.05, "pressure": 0.033},
-    }
-)
-"""The paper's :meth:`NoiseStudy.spread`: level 0.05, 90 draws, hardest case."""
 
 _BLOCK = 32  # at most so many rows are predicted at once
 
