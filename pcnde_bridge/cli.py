@@ -95,7 +95,7 @@ ConfigOption = Annotated[
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
 EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
 WorkersOption = Annotated[
-    int, typer.Option("--workers", min=1, help="Processes that fit at the same time.")
+    int, typer.Option("--workers", min=1, help="Processes that compute at the same time.")
 ]
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
@@ -557,11 +557,13 @@ def figures(
     ] = False,
     split: SplitOption = "paper",
     engine: EngineOption = EngineChoice.auto,
+    workers: WorkersOption = 1,
 ) -> None:
     """Make the paper's figures, and the numbers behind them, for a model and a data set."""
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures
     from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.tasks import processes
 
     names = only or []
     choose(names)
@@ -573,6 +575,8 @@ def figures(
         material.truth_label, material.other = "1D solver", None
     elif data != "published":
         material.truth_label = "truth"
+    if workers > 1:
+        material.executor = processes(workers)
 
     def announce(number: int, count: int, entry: Entry) -> None:
         cost = f"; {entry.cost}" if entry.cost else ""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import SimpleNamespace
 
 import pandas as pd
@@ -268,6 +270,23 @@ def test_pcnde_figures_only_and_with_a_split(run_pcnde, files):
     }
     assert "pointwise-errors: pointwise-errors.png, pointwise-errors.pdf" in text
     assert "--studies" not in text
+
+
+def test_pcnde_figures_with_workers(run_pcnde, files, unpainted, monkeypatch):
+    made = []
+
+    def pool(workers):
+        made.append(workers)
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr("pcnde_bridge.tasks.processes", lambda workers: partial(pool, workers))
+    noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
+    assert run_pcnde(*noise, "--out", files / "one")[0] == 0
+    assert made == []
+    assert run_pcnde(*noise, "--out", files / "two", "--workers", "2")[0] == 0
+    assert made == [2]
+    for folder in ("one", "two"):
+        assert [path.name for path in (files / folder).iterdir()] == ["noise-inflow.png"]
 
 
 def test_pcnde_figures_says_what_is_wrong(run_pcnde, files):
