@@ -23,7 +23,7 @@ from pcnde_bridge.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, make_folder
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.synthetic import fewer_words
@@ -395,10 +395,7 @@ def make_figures(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder} is a file; give a folder for the figures.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+    make_folder(folder)
     made = []
     for number, entry in enumerate(entries, 1):
         if on_entry is not None:

@@ -1,4 +1,4 @@
-"""Writing files atomically, and checksums of arrays."""
+"""Files: whether they are there, writing them atomically; checksums of arrays."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import os
 import secrets
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcnde_bridge.errors import FileError, PCNDEError
+from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
 
 @contextlib.contextmanager
@@ -142,6 +142,41 @@ def _reason(error: OSError, target: Path) -> str:
 
 # What is read is uncompressed or little compressed; deflate packs zeros a thousandfold.
 _UNPACKED, _TIMES = 1 << 28, 100
+
+
+def as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """Return one path, or several, as a list."""
+    return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+
+
+def check_file(path: Path, what: str) -> None:
+    """Raise if there is no file to read; ``what`` it would be, as "a .vtp file".
+
+    Raises
+    ------
+    FileError
+        If the path is a folder.
+    DataNotFoundError
+        If there is nothing.
+    """
+    if path.is_dir():
+        raise FileError(f"{path} is a folder, not {what}.")
+    if not path.is_file():
+        raise DataNotFoundError(f"There is no file {path}; check the path.")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those that hold it, unless it is there.
+
+    Raises
+    ------
+    FileError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
 
 
 def check_claim(claimed: int, stored: int) -> None:

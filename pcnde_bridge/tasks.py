@@ -44,7 +44,7 @@ import numpy as np
 
 from pcnde_bridge.archive import archive_kind, read_archive, write_archive
 from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
-from pcnde_bridge.files import check_writable
+from pcnde_bridge.files import check_writable, make_folder
 from pcnde_bridge.progress import TaskProgress
 
 Task = TypeVar("Task")
@@ -348,10 +348,7 @@ class _Kept:
         self._folder = folder
         # As a file gives it back: tuples are lists there.
         self._facts = json.loads(json.dumps(facts))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+        make_folder(folder)
         check_writable(self._path("result"))
 
     def _path(self, name: str) -> Path:

@@ -531,6 +531,7 @@ TABLE = [
      InputError, "--units pressure=mmHg"),
     # ---- tidy tables
     ("csv", "missing", Path.unlink, DataNotFoundError, "There is no file"),
+    ("csv", "a folder", folder_instead, FileError, "is a folder, not a table"),
     ("csv", "binary", replaced_by(bytes(range(256)) * 9), FileError, "Cannot read a table"),
     ("csv", "no pressure", table(lambda f: f.drop(columns="pressure")),
      InputError, "lacks the colu"),

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.files import as_paths, check_file
 from pcnde_bridge.formats.results import FIELDS, UNITS, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.h5 import read_dataset
 
@@ -56,21 +57,17 @@ def read_hdf5(
     InputError
         If data sets are missing, or units, flow or time steps are doubtful.
     """
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if unknown := sorted(set(names or ()) - set(NAMES)):
         raise InputError(f"names has {unknown}; it can name {list(NAMES)}.")
     return to_cases(
-        [vessel for path in given for vessel in _read(Path(path), names or {})], **options
+        [vessel for path in as_paths(paths) for vessel in _read(path, names or {})], **options
     )
 
 
 def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
     import h5py
 
-    if path.is_dir():
-        raise FileError(f"{path} is a folder, not an HDF5 file.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "an HDF5 file")
     arrays: dict[str, npt.NDArray[Any]] = {}
     labels: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}

@@ -19,6 +19,7 @@ import numpy as np
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.files import as_paths, check_file
 from pcnde_bridge.formats.results import FIELDS, Array, CaseOptions, VesselResults, to_cases
 
 if TYPE_CHECKING:
@@ -76,8 +77,7 @@ def read_sv1d(
             "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
             "(--period), in s, and their last cycle is taken."
         )
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    return to_cases([_read_vessel(Path(path), segments) for path in given], **options)
+    return to_cases([_read_vessel(path, segments) for path in as_paths(paths)], **options)
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
@@ -116,10 +116,7 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
 
 def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
     """Return the model's name, its segments, and the time between saved steps."""
-    if path.is_dir():
-        raise FileError(f"{path} is a folder; give the solver's input file (.in) in it.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "the solver's input file (.in)")
     model, step = None, None
     segments: dict[str, _Segment] = {}
     try:
