@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import as_paths, check_file
-from pcnde_bridge.formats.results import FIELDS, UNITS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.formats.results import UNITS, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.h5 import read_dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-NAMES = (*FIELDS, "area_undeformed", "time", "z")
+NAMES = (*VARIABLES, "area_undeformed", "time", "z")
 
 
 def read_hdf5(
@@ -117,11 +117,11 @@ def _vessels(
         if array.dtype.kind not in "iuf":
             raise InputError(f"{path}: {name} holds {array.dtype}, not numbers.")
     fields = {name: arrays[name].astype(np.float64) for name in NAMES}
-    for name, dimensions in (*((name, 2) for name in FIELDS), ("area_undeformed", 1)):
+    for name, dimensions in (*((name, 2) for name in VARIABLES), ("area_undeformed", 1)):
         if fields[name].ndim == dimensions:
             fields[name] = fields[name][np.newaxis]
     count = len(fields["flow"]) if fields["flow"].ndim == 3 else 0
-    for name in (*FIELDS, "area_undeformed"):
+    for name in (*VARIABLES, "area_undeformed"):
         if fields[name].ndim != (2 if name == "area_undeformed" else 3) or (
             len(fields[name]) != count
         ):

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 from pcnde_bridge.files import as_paths, check_file
-from pcnde_bridge.formats.results import FIELDS, Array, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -83,13 +83,13 @@ def read_sv1d(
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
     model, known, step = _read_input(path)
     chain = _chain(path, known, wanted)
-    parts: dict[str, list[Array]] = {name: [] for name in (*FIELDS, "undeformed", "z")}
+    parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "undeformed", "z")}
     start = 0.0
     for number, segment in enumerate(chain):
         # The first node of a segment is the last of the one before.
         own = slice(0 if number == 0 else 1, None)
         nodes = segment.elements + 1
-        for name in FIELDS:
+        for name in VARIABLES:
             file = path.parent / f"{model}{segment.name}_{name}.dat"
             table = _read_table(file, nodes)
             if parts[name] and table.shape[1] != parts[name][0].shape[1]:

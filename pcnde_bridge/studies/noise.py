@@ -16,11 +16,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge import recipes
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.engines.base import Engine, Grid, Solution
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import VARIABLES
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.studies._each import each
