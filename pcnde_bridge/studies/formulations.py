@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -37,7 +36,7 @@ from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.metrics import compared, relative_error
 from pcnde_bridge.model import check_grid
 from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
-from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.progress import listening
 from pcnde_bridge.training import TrainingState
 from pcnde_bridge.validation import whole
 
@@ -191,16 +190,14 @@ def compare_formulations(
     batches = TrainingState.start(train, config.replace(training="batches"), seed).batches
     stages = {name: _Trained(name, train, config, chosen, seed) for name in formulations}
     total = len(batches) * sum(s.epochs * s.iterations for s in stages.values())
-    bar = TrainingProgress(total) if progress is True else None
-    listener = bar if bar is not None else (progress if callable(progress) else None)
 
     outcomes: dict[str, str] = {}
     frames = []
     # What the true flow gives: the equations' own errors.
     results = _results("3D", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
-    with bar if bar is not None else nullcontext():
+    with listening(progress, total) as on_record:
         for name, stage in stages.items():
-            recorder = Recorder(time.perf_counter(), listener)
+            recorder = Recorder(time.perf_counter(), on_record)
             outcomes[name] = stage.fit(batches, recorder)
             frames.append(histories.to_frame(recorder.iterations).assign(formulation=name))
             try:
