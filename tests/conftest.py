@@ -231,15 +231,18 @@ def toy_config(small_config) -> PCNDEConfig:
 
 @pytest.fixture
 def run_pcnde(monkeypatch, capsys):
-    """Run the command line in this process: (exit code, output, errors)."""
+    """Run ``pcnde`` in this process: exit code, standard output, standard error."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
+        capsys.readouterr()
         try:
             cli.main()
             code = 0
         except SystemExit as end:
             code = end.code or 0
-        return code, *capsys.readouterr()
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
 
     return run

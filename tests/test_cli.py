@@ -28,23 +28,9 @@ from pcnde_bridge.doctor import Finding
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run ``pcnde`` in this process: exit code, standard output, standard error."""
+def run(run_pcnde, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return code, out, err
-
-    return run
+    return run_pcnde
 
 
 def process(*arguments, **options):
