@@ -28,7 +28,7 @@ import numpy as np
 
 from pcnde_bridge import PCNDE, Cases, InputError, Split, load_cases
 from pcnde_bridge.baselines import FEM_WALL, ResponseSurface, Solver1D, Unchanged
-from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge.metrics import coverage, pooled_errors
 
 VARIABLES = ("flow", "area", "pressure")
 
@@ -64,11 +64,7 @@ def fit_and_measure(data: str, how: str, preset: str, engine: str, seed: int) ->
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
     if model.uncertainty is not None:
-        limits = model.predict(test, samples=64).interval(0.9)
-        result["coverage"] = {
-            name: float(((low <= getattr(test, name)) & (getattr(test, name) <= high)).mean())
-            for name, (low, high) in limits.items()
-        }
+        result["coverage"] = coverage(model.predict(test, samples=64).interval(0.9), test)
     return result
 
 

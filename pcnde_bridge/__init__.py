@@ -27,6 +27,7 @@ from pcnde_bridge.errors import (
     InputError,
     MissingExtraError,
     PCNDEError,
+    PCNDEWarning,
     SolveError,
     TaskError,
 )
@@ -54,6 +55,7 @@ __all__ = [
     "OutsideTrainingWarning",
     "PCNDEConfig",
     "PCNDEError",
+    "PCNDEWarning",
     "Prediction",
     "SolveError",
     "Split",

@@ -16,10 +16,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import VARIABLES
 from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
+from pcnde_bridge.validation import whole
 from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall
 
 Array = npt.NDArray[np.float64]
@@ -166,8 +166,7 @@ class ResponseSurface:
             ("waveform_components", waveform_components or 0),
             ("geometry_components", geometry_components or 0),
         ):
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise InputError(f"{name} must be a whole number ≥ 0, got {value!r}.")
+            whole(name, value)
         self._degrees = (waveform_degree, geometry_degree)
         self._wanted = (waveform_components, geometry_components)
         self._axes: tuple[_Axis, _Axis] | None = None

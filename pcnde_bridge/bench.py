@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import statistics
 import time
@@ -21,6 +20,7 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
+from pcnde_bridge.synthetic import fewer_words
 
 Array = npt.NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
     InputError
         If the cases' grid is not the model's.
     """
-    errors, taken = _measure(lambda cases: model.predict(cases).variables(), sets)
+    errors, taken = _measure(lambda cases: model.predict_silently(cases).variables(), sets)
     seconds = model.provenance.get("seconds")
     return Row(
         f"PCNDE ({model.engine.name})", errors, None if seconds is None else float(seconds), taken
@@ -102,11 +102,7 @@ def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> 
 
 def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[str, float]], float]:
     """Pooled errors of every set, and milliseconds per case of the last."""
-    # The solver says a line for every case; its warnings stay.
-    logger = logging.getLogger("pcnde_bridge.tube1d")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
+    with fewer_words():
         errors = {name: pooled_errors(predict(cases), cases) for name, cases in sets.items()}
         cases = list(sets.values())[-1]
         seconds: list[float] = []
@@ -114,8 +110,6 @@ def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[st
             began = time.perf_counter()
             predict(cases)
             seconds.append(time.perf_counter() - began)
-    finally:
-        logger.setLevel(level)
     return errors, 1e3 * statistics.median(seconds) / len(cases)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEWarning
 from pcnde_bridge.files import atomic_write, check_members, sha256_arrays
 from pcnde_bridge.h5 import read_dataset
 
@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 FORMAT = "pcnde-cases"
 FORMAT_VERSION = 1
+
+VARIABLES = ("flow", "area", "pressure")
 
 #: The units of every array (CGS).
 UNITS = {
@@ -35,13 +37,12 @@ UNITS = {
     "z": "cm",
 }
 _AXES = ("case", "time", "z")
-_FIELDS = ("flow", "area", "pressure")
 _NPZ_SUFFIXES = (".npz",)
 _H5_SUFFIXES = (".h5", ".hdf5")
 _SUFFIXES = _NPZ_SUFFIXES + _H5_SUFFIXES
 
 
-class UnitsWarning(UserWarning):
+class UnitsWarning(PCNDEWarning):
     """The size of the numbers suggests that they are not in CGS units."""
 
 
@@ -593,7 +594,7 @@ def _check_shapes(arrays: Mapping[str, FloatArray]) -> None:
     if n_cases < 1:
         raise InputError("there is no case: area_undeformed has length 0 along its first axis")
     expected = (n_cases, n_times, n_points)
-    for name in _FIELDS:
+    for name in VARIABLES:
         shape = arrays[name].shape
         if shape != expected:
             raise InputError(
@@ -649,7 +650,7 @@ def _check_time(arrays: Mapping[str, FloatArray], period: float | None) -> float
         "flow[:, :-1], area[:, :-1], pressure[:, :-1])"
     )
     if period is None:
-        fields = [arrays[name] for name in _FIELDS]
+        fields = [arrays[name] for name in VARIABLES]
         closed = all(np.array_equal(field[:, 0], field[:, -1]) for field in fields)
         steady = all(np.array_equal(field[:, 0], field[:, 1]) for field in fields)
         if closed and not steady:
@@ -897,7 +898,7 @@ def _write_h5(
             file[name] = _h5_text(values) if values.dtype.kind == "U" else values
         for name, units in (*UNITS.items(), ("period", "s")):
             file[name].attrs["units"] = np.bytes_(units)
-        for name in _FIELDS:
+        for name in VARIABLES:
             file[name].attrs["axes"] = np.bytes_("case, time, z")
         file["area_undeformed"].attrs["axes"] = np.bytes_("case, z")
 

@@ -34,6 +34,18 @@ def remove(path: str | os.PathLike[str]) -> None:
     previous(path).unlink(missing_ok=True)
 
 
+def tell_of_other_engine(path: Path, before: str, now: str) -> None:
+    """Warn, if they differ, that a run continues with another engine than it began with."""
+    if before != now:
+        _log.warning(
+            "%s was written with the %s engine and continues with %s: the result agrees to the "
+            "accuracy of the solver, not bit for bit.",
+            path,
+            before,
+            now,
+        )
+
+
 class Checkpoint:
     """Writes and reads the state of one run.
 

@@ -24,7 +24,7 @@ from rich.text import Text
 from pcnde_bridge import checkpoints
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
-from pcnde_bridge.errors import FileError, InputError, PCNDEError
+from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
 from pcnde_bridge.files import atomic_write, check_writable
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ ConfigOption = Annotated[
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
 EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
 WorkersOption = Annotated[
-    int, typer.Option("--workers", min=1, help="Processes that fit at the same time.")
+    int, typer.Option("--workers", min=1, help="Processes that compute at the same time.")
 ]
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
@@ -184,26 +184,29 @@ def cross_validate_(
 
     settings = _settings(preset, config)
     _check_writable(csv)
-    table = cross_validate(
-        _split(load_cases(data), split)["train"],
-        settings,
-        engine.value,
-        seed,
-        executor=processes(workers),
-        folder=folder,
-    )
+    train = _split(load_cases(data), split)["train"]
+    try:
+        table = cross_validate(
+            train, settings, engine.value, seed, executor=processes(workers), folder=folder
+        )
+    except KeyboardInterrupt:
+        if folder is None:
+            raise
+        raise _interrupted(f"The finished fits are in {folder}") from None
     if csv is not None:
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
-    variables = [name for name in ("flow", "area", "pressure") if name in table]
     names = [" ".join(map(str, key)) for key in table.index.to_list()]
-    errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
-    for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
-        errors[f"mean, {label}"] = mean
-    _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
+    if variables := [name for name in ("flow", "area", "pressure") if name in table]:
+        errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
+        for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
+            errors[f"mean, {label}"] = mean
+        _print_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
     for name, why in zip(names, table["failure"], strict=True):
         if isinstance(why, str):
             _say(f"{name}: {why}")
+    if table["failure"].notna().all():
+        raise TaskError("All fits failed.")
 
 
 @app.command()
@@ -311,16 +314,18 @@ def predict(
     else:
         q = read_columns(inflow, "time", fitted.grid.time, "s")
         s_u = read_columns(area, "z", fitted.grid.z, "cm")
+    files = [out]
     if isinstance(fitted, PCNDE) and not samples and suffix == ".csv":
         count = save_csv(fitted.predict_batches(q, s_u, **where), out)
     else:
         # The members of an ensemble are its samples.
         draws = {"samples": samples} if isinstance(fitted, PCNDE) else {}
         prediction = fitted.predict(q, s_u, **where, **draws)
-        prediction.save(out)
+        files = prediction.save(out)
         count = len(prediction)
     cases = "case" if count == 1 else "cases"
-    _out.print(f"Saved {count} {cases} in {out}.", highlight=False, soft_wrap=True)
+    place = out if out in files else f"{files[0]} to {files[-1].name}"
+    _out.print(f"Saved {count} {cases} in {place}.", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -498,6 +503,15 @@ def bench(
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.model import PCNDE
 
+    training = {
+        "--preset": preset != "paper",
+        "--config": config,
+        "--seed": seed,
+        "--checkpoint": checkpoint,
+    }
+    if model is not None and any(training.values()):
+        given = ", ".join(option for option, value in training.items() if value)
+        raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
     settings = _settings(preset, config)
     _check_writable(json_file)
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
@@ -557,11 +571,13 @@ def figures(
     ] = False,
     split: SplitOption = "paper",
     engine: EngineOption = EngineChoice.auto,
+    workers: WorkersOption = 1,
 ) -> None:
     """Make the paper's figures, and the numbers behind them, for a model and a data set."""
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures
     from pcnde_bridge.model import PCNDE
+    from pcnde_bridge.tasks import processes
 
     names = only or []
     choose(names)
@@ -573,6 +589,8 @@ def figures(
         material.truth_label, material.other = "1D solver", None
     elif data != "published":
         material.truth_label = "truth"
+    if workers > 1:
+        material.executor = processes(workers)
 
     def announce(number: int, count: int, entry: Entry) -> None:
         cost = f"; {entry.cost}" if entry.cost else ""

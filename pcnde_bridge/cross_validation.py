@@ -15,6 +15,7 @@ from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
 from pcnde_bridge.tasks import Workers, run
+from pcnde_bridge.validation import whole
 
 Positions = npt.NDArray[np.int64]
 
@@ -77,7 +78,7 @@ def cross_validate(
     Raises
     ------
     InputError
-        If nothing can be held out.
+        If nothing can be held out, or an argument is not usable.
 
     Examples
     --------
@@ -85,6 +86,7 @@ def cross_validate(
     >>> train = load_cases("published").split("paper").train  # doctest: +SKIP
     >>> cross_validate(train, "fast").groupby("label").mean(numeric_only=True)  # doctest: +SKIP
     """
+    seed = whole("seed", seed)
     settings = resolve_config(config)
     engine = same_everywhere(engine)
     chosen = parts(cases)

@@ -22,9 +22,10 @@ _FOLDER = f"csala2024-{PUBLISHED_COMMIT[:7]}"
 def find_published() -> Path | None:
     """Look for the published data set on this machine.
 
-    Looks at the folder named by the environment variable ``PCNDE_DATA``, then at
-    ``../shared/csala2024`` relative to the working directory and to the root of
-    the repository, then at the download cache (whole downloads only).
+    Looks at the folder named by the environment variable ``PCNDE_DATA``, then for a copy
+    that several checkouts share, beside them: ``../shared/csala2024`` relative to the
+    working directory and to the root of the repository; then at the download cache (whole
+    downloads only).
 
     Returns
     -------

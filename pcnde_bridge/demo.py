@@ -19,7 +19,7 @@ from pcnde_bridge.config import PCNDEConfig, resolve_config
 from pcnde_bridge.engines import Engine, EngineName, select_engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.figures import outermost
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, make_folder
 from pcnde_bridge.metrics import error_table, pooled_errors
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
@@ -179,10 +179,7 @@ def _claim(folder: Path, facts: dict[str, Any]) -> None:
         raise FileError(
             f"{folder} holds {', '.join(foreign)}, which no demo has written. Give another folder."
         )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+    make_folder(folder)
     _write_text(mark, json.dumps(facts, indent=1) + "\n")
 
 

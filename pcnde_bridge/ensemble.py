@@ -27,22 +27,23 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge.archive import archive_kind, read_archive, write_archive
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.uncertainty import calibrated_factor, parts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine, Grid
-from pcnde_bridge.errors import FileError, InputError, TaskError
+from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, TaskError
 from pcnde_bridge.fits import FitTask, common_facts, fit_model, model_of, same_everywhere
-from pcnde_bridge.metrics import VARIABLES, error_table
+from pcnde_bridge.metrics import error_table
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.tasks import Workers, run
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-ensemble", 1
+FORMAT, FORMAT_VERSION = "pcnde-ensemble", 1
 _LEFT_OUT_FITS = 2  # without each part: the fewest that have a deviation
 
 
@@ -154,7 +155,7 @@ class Ensemble:
 
         Warns
         -----
-        UserWarning
+        PCNDEWarning
             If some of the fits failed.
 
         Raises
@@ -166,9 +167,8 @@ class Ensemble:
         """
         if not isinstance(cases, Cases):
             raise InputError(f"Ensemble.fit needs a Cases, got {type(cases).__name__}.")
-        for name, value, least in (("members", members, 2), ("folds", folds, 2), ("seed", seed, 0)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-                raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
+        members, folds = whole("members", members, 2), whole("folds", folds, 2)
+        seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = same_everywhere(engine)
         left_out = parts(cases, folds)
@@ -177,15 +177,11 @@ class Ensemble:
                 f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."
             )
         everything = np.arange(len(cases))
-        tasks = {
-            f"member {k}": FitTask(cases, settings, engine, int(seed) + k) for k in range(members)
-        }
+        tasks = {f"member {k}": FitTask(cases, settings, engine, seed + k) for k in range(members)}
         for number, positions in enumerate(left_out):
             rest = cases.select(np.setdiff1d(everything, positions))
             for k in range(_LEFT_OUT_FITS):
-                tasks[f"without part {number}, {k}"] = FitTask(
-                    rest, settings, engine, int(seed) + k
-                )
+                tasks[f"without part {number}, {k}"] = FitTask(rest, settings, engine, seed + k)
         outcome = run(
             fit_model,
             tasks,
@@ -194,8 +190,8 @@ class Ensemble:
             folder=folder,
             facts={
                 **common_facts("ensemble", cases, settings, engine),
-                "seed": int(seed),
-                "folds": int(folds),
+                "seed": seed,
+                "folds": folds,
             },
             progress=progress,
         )
@@ -209,11 +205,12 @@ class Ensemble:
         if len(fitted) < 2 or not held:
             raise TaskError(f"{outcome.complaint()} The rest make no ensemble.")
         if outcome.failures:
-            warnings.warn(f"{outcome.complaint()} The ensemble is without them.", stacklevel=2)
+            complaint = f"{outcome.complaint()} The ensemble is without them."
+            warnings.warn(complaint, PCNDEWarning, stacklevel=2)
         facts = {
-            **provenance(cases, fitted[0].engine, int(seed)),
+            **provenance(cases, fitted[0].engine, seed),
             "members": len(fitted),
-            "folds": int(folds),
+            "folds": folds,
             "failures": outcome.failures,
             "seconds": sum(float(model.provenance["seconds"]) for model in models.values()),
         }
@@ -310,7 +307,7 @@ class Ensemble:
             members.append(facts)
             arrays |= {f"member_{number}_{name}": array for name, array in own.items()}
         facts = {"members": members, "provenance": self.provenance}
-        write_archive(path, _KIND, _VERSION, facts, arrays)
+        write_archive(path, FORMAT, FORMAT_VERSION, facts, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> Ensemble:
@@ -321,7 +318,7 @@ class Ensemble:
         FileError
             If the file is missing, truncated, foreign, or of a newer version.
         """
-        facts, arrays = read_archive(path, _KIND, _VERSION, "ensemble")
+        facts, arrays = read_archive(path, FORMAT, FORMAT_VERSION, "ensemble")
         try:
             members = []
             for number, own_facts in enumerate(facts["members"]):
@@ -348,7 +345,7 @@ def load_model(
     FileError
         If it holds neither.
     """
-    return (Ensemble if archive_kind(path) == _KIND else PCNDE).load(path, engine)
+    return (Ensemble if archive_kind(path) == FORMAT else PCNDE).load(path, engine)
 
 
 def _directions(count: int) -> Array:

@@ -1,4 +1,4 @@
-"""The package's exceptions: one family, so that one ``except`` clause catches all.
+"""The package's exceptions and warnings: one family each, so that one clause catches all.
 
 Each message says what was wrong, where, and what to do about it.  Bad input is
 also a :class:`ValueError`, as scikit-learn and numpy users expect.
@@ -9,6 +9,10 @@ from __future__ import annotations
 
 class PCNDEError(Exception):
     """Base class of every error that this package raises on purpose."""
+
+
+class PCNDEWarning(UserWarning):
+    """Base class of the package's warnings: a result is there, but less sure than it looks."""
 
 
 class InputError(PCNDEError, ValueError):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,10 +23,9 @@ from pcnde_bridge.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import atomic_write, make_folder
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
-from pcnde_bridge.novelty import OutsideTrainingWarning
 from pcnde_bridge.synthetic import fewer_words
 from pcnde_bridge.tasks import Workers
 
@@ -96,10 +94,8 @@ class Material:
 
     @cached_property
     def _predicted(self) -> dict[str, Array]:
-        with warnings.catch_warnings():
-            # The truth is at hand: the errors show what extrapolation does.
-            warnings.simplefilter("ignore", OutsideTrainingWarning)
-            return self.model.predict(self.cases).variables()
+        # The truth is at hand: the errors show what extrapolation does.
+        return self.model.predict_silently(self.cases).variables()
 
     def predicted(self, of: Cases) -> dict[str, Array]:
         """Flow, area and pressure of some of the cases, by the model."""
@@ -266,7 +262,8 @@ def _smoothness(material: Material) -> Drawn:
     study = studies.compare_formulations(
         material.train, material.test, config=_recipe(material), engine=material.model.engine
     )
-    return Drawn(plots.smoothness(study), study.to_frame())
+    figure = plots.smoothness(study, truth_label=material.truth_label)
+    return Drawn(figure, study.to_frame())
 
 
 def _landscapes(material: Material) -> Drawn:
@@ -398,10 +395,7 @@ def make_figures(
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder} is a file; give a folder for the figures.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+    make_folder(folder)
     made = []
     for number, entry in enumerate(entries, 1):
         if on_entry is not None:

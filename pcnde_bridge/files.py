@@ -1,4 +1,4 @@
-"""Writing files atomically, and checksums of arrays and files."""
+"""Files: whether they are there, writing them atomically; checksums of arrays."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import os
 import secrets
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcnde_bridge.errors import FileError, PCNDEError
+from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
 
 @contextlib.contextmanager
@@ -144,6 +144,41 @@ def _reason(error: OSError, target: Path) -> str:
 _UNPACKED, _TIMES = 1 << 28, 100
 
 
+def as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """Return one path, or several, as a list."""
+    return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+
+
+def check_file(path: Path, what: str) -> None:
+    """Raise if there is no file to read; ``what`` it would be, as "a .vtp file".
+
+    Raises
+    ------
+    FileError
+        If the path is a folder.
+    DataNotFoundError
+        If there is nothing.
+    """
+    if path.is_dir():
+        raise FileError(f"{path} is a folder, not {what}.")
+    if not path.is_file():
+        raise DataNotFoundError(f"There is no file {path}; check the path.")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those that hold it, unless it is there.
+
+    Raises
+    ------
+    FileError
+        If it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+
+
 def check_claim(claimed: int, stored: int) -> None:
     """Refuse contents that are much larger than the file that holds them.
 
@@ -182,34 +217,6 @@ def check_members(archive: zipfile.ZipFile, stored: int) -> None:
         if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
             raise RuntimeError(f"its member {name!r} leads out of it")
     check_claim(sum(member.file_size for member in archive.infolist()), stored)
-
-
-def sha256_file(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 checksum of a file, as 64 hexadecimal digits.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file to read.
-
-    Returns
-    -------
-    str
-        The checksum.
-
-    Raises
-    ------
-    FileError
-        When the file cannot be read.
-    """
-    digest = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as handle:
-            while block := handle.read(1 << 20):
-                digest.update(block)
-    except OSError as error:
-        raise FileError(f"cannot read {str(path)!r}: {error}") from error
-    return digest.hexdigest()
 
 
 def sha256_arrays(arrays: Mapping[str, NDArray[Any]]) -> str:

@@ -23,7 +23,7 @@ class FitTask:
     config : PCNDEConfig or ClosureConfig
         Settings.
     engine : {'auto', 'julia', 'jax'} or Engine
-        Who computes; a name, where it has to travel.
+        Who computes.
     seed : int
         Of the fit.
     held_out : Cases or None

@@ -45,5 +45,6 @@ def read_dataset(group: Any, name: str) -> NDArray[Any] | None:
     if at.external or at.is_virtual:
         raise RuntimeError(f"{name} lies in another file, which is not followed")
     check_claim(at.nbytes, Path(group.file.filename).stat().st_size)
-    values = np.asarray(at[()])
-    return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values
+    if h5py.check_string_dtype(at.dtype) is not None:
+        return np.asarray(at.asstr("utf-8")[()], dtype=np.str_)
+    return np.asarray(at[()])

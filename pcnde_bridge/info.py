@@ -6,19 +6,22 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+from pcnde_bridge import ensemble, model, training
 from pcnde_bridge.archive import archive_kind, read_archive
+from pcnde_bridge.closures import training as closures_training
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.recipes import config_from
 
-# The formats' own modules check their versions when they are used.
-_WHAT = {
-    "pcnde-model": "model",
-    "pcnde-ensemble": "ensemble",
-    "pcnde-checkpoint": "checkpoint",
-    "pcnde-closures-checkpoint": "checkpoint",
+_FORMATS: dict[str, tuple[int, str]] = {
+    module.FORMAT: (module.FORMAT_VERSION, what)
+    for module, what in (
+        (model, "model"),
+        (ensemble, "ensemble"),
+        (training, "checkpoint"),
+        (closures_training, "checkpoint"),
+    )
 }
-_NEWEST = 1
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -42,15 +45,16 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         If the file is none of these, or damaged.
     """
     kind = archive_kind(path)
-    if kind not in _WHAT:
+    if kind not in _FORMATS:
         # Says whether it is missing, damaged or something else.
-        read_archive(path, "pcnde-model", _NEWEST, "model")
+        read_archive(path, model.FORMAT, model.FORMAT_VERSION, "model")
         raise FileError(f"{path} is not a file of pcnde_bridge.")
-    facts, arrays = read_archive(path, kind, _NEWEST, _WHAT[kind])
-    found: dict[str, Any] = {"kind": _WHAT[kind]}
+    version, what = _FORMATS[kind]
+    facts, arrays = read_archive(path, kind, version, what)
+    found: dict[str, Any] = {"kind": what}
     try:
         first, prefix = facts, ""
-        if kind == "pcnde-ensemble":
+        if kind == ensemble.FORMAT:
             first, prefix = facts["members"][0], "member_0_"
             found["members"] = len(facts["members"])
             found["uncertainty"] = "calibrated spread of the members"

@@ -13,8 +13,6 @@ from pcnde_bridge.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-VARIABLES = ("flow", "area", "pressure")
-
 AREA_MARGIN = 5
 """Points left out at either end of the area: the walls are clamped there (section 3.3)."""
 

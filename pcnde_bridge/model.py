@@ -29,10 +29,11 @@ from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.published_weights import read_published_weights
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-model", 1
+FORMAT, FORMAT_VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
 _FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
 # pandas takes longer to make these names than a case takes to be predicted.
@@ -149,17 +150,16 @@ class PCNDE:
                 f"PCNDE.fit needs a Cases, got {type(cases).__name__}. "
                 "Make one with load_cases(path) or Cases(flow=..., ...)."
             )
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        trained = recipes.train(cases, settings, engine, int(seed), checkpoint, progress)
+        trained = recipes.train(cases, settings, engine, seed, checkpoint, progress)
         return cls(
             trained.config,
             trained.parameters,
             Grid(cases.time, cases.z, cases.period),
             engine,
-            {**provenance(cases, engine, int(seed)), **trained.facts},
+            {**provenance(cases, engine, seed), **trained.facts},
             trained.history,
             trained.uncertainty,
             Novelty.of(cases.inflow, cases.area_undeformed, cases.z),
@@ -326,15 +326,14 @@ class PCNDE:
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        if isinstance(batch, bool) or not isinstance(batch, int | np.integer) or batch < 1:
-            raise InputError(f"batch must be a positive whole number, got {batch!r}.")
+        batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
         score = self._score(q, s_u, grid.z)
         self._warn(score, q, s_u, grid.z)
 
         def predictions() -> Iterator[Prediction]:
-            for start in range(0, len(q), int(batch)):
-                rows = slice(start, min(start + int(batch), len(q)))
+            for start in range(0, len(q), batch):
+                rows = slice(start, min(start + batch, len(q)))
                 labels = _numbered(rows.start, rows.stop)
                 part = None if score is None else score[rows]
                 try:
@@ -424,10 +423,7 @@ class PCNDE:
         samples: int,
         seed: int,
     ) -> Prediction:
-        if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 0:
-            raise InputError(f"samples must be a whole number ≥ 0, got {samples!r}.")
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-            raise InputError(f"seed must be a non-negative integer, got {seed!r}.")
+        samples, seed = whole("samples", samples), whole("seed", seed)
         if samples and self.uncertainty is None:
             raise InputError(
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
@@ -517,7 +513,7 @@ class PCNDE:
         FileError
             If the file cannot be written.
         """
-        write_archive(path, _KIND, _VERSION, *self.to_archive())
+        write_archive(path, FORMAT, FORMAT_VERSION, *self.to_archive())
 
     def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """Return all that a file of the model holds: facts for JSON, and arrays."""
@@ -550,7 +546,7 @@ class PCNDE:
         FileError
             If the file is missing, truncated, foreign, or of a newer version.
         """
-        facts, arrays = read_archive(path, _KIND, _VERSION, "model")
+        facts, arrays = read_archive(path, FORMAT, FORMAT_VERSION, "model")
         return cls.from_archive(facts, arrays, engine, str(path))
 
     @classmethod
@@ -602,27 +598,46 @@ class PCNDE:
         InputError
             Naming the first difference.
         """
-        if self.any_grid:
-            return
-        for name, mine, theirs in (
-            ("time", self.grid.time - self.grid.time[0], cases.time - cases.time[0]),
-            ("z", self.grid.z, cases.z),
-        ):
-            if mine.shape != theirs.shape:
-                raise InputError(
-                    f"The cases have {theirs.size} values of {name}, but the model was trained on "
-                    f"{mine.size}: bring the cases to the model's grid (model.grid.{name})."
-                )
-            if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
-                index = int(np.abs(mine - theirs).argmax())
-                raise InputError(
-                    f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
-                    f"model: bring the cases to the model's grid (model.grid.{name})."
-                )
-        if not math.isclose(self.grid.period, cases.period, rel_tol=1e-6):
+        if not self.any_grid:
+            check_grid(self.grid, cases)
+
+
+def check_grid(trained: Grid, cases: Cases, where: str = "model.grid") -> None:
+    """Raise unless cases are on the grid that a model was trained on.
+
+    Parameters
+    ----------
+    trained : Grid
+        Of the training cases.
+    cases : Cases
+        To be predicted.
+    where : str
+        What holds the model's grid, for the message.
+
+    Raises
+    ------
+    InputError
+        Naming the first difference.
+    """
+    for name, mine, theirs in (
+        ("time", trained.time - trained.time[0], cases.time - cases.time[0]),
+        ("z", trained.z, cases.z),
+    ):
+        if mine.shape != theirs.shape:
             raise InputError(
-                f"The cases' period is {cases.period:g} s, the model's {self.grid.period:g} s."
+                f"The cases have {theirs.size} values of {name}, but the model was trained on "
+                f"{mine.size}: bring the cases to the model's grid ({where}.{name})."
             )
+        if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
+            index = int(np.abs(mine - theirs).argmax())
+            raise InputError(
+                f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
+                f"model: bring the cases to the model's grid ({where}.{name})."
+            )
+    if not math.isclose(trained.period, cases.period, rel_tol=1e-6):
+        raise InputError(
+            f"The cases' period is {cases.period:g} s, the model's {trained.period:g} s."
+        )
 
 
 def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.errors import InputError, PCNDEWarning
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _KEPT = 1e-3
 _TOLERATED = 0.02
 
 
-class OutsideTrainingWarning(UserWarning):
+class OutsideTrainingWarning(PCNDEWarning):
     """An input of a prediction lies outside the training data."""
 
 

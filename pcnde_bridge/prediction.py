@@ -169,7 +169,7 @@ class Prediction:
         made: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
         return made
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write the prediction to a file, in the format that its ending says.
 
         Parameters
@@ -178,6 +178,11 @@ class Prediction:
             ``.csv`` (also ``.csv.gz``): the frame; ``.npz`` or ``.h5``: a data set;
             ``.vtp``: a centreline with arrays for each time step, for many cases one
             file each; ``.pvd``: the same for ParaView, as an animation.
+
+        Returns
+        -------
+        list of Path
+            The files.
 
         Raises
         ------
@@ -195,9 +200,10 @@ class Prediction:
             from pcnde_bridge import formats
 
             write = formats.write_vtp if suffix == ".vtp" else formats.write_pvd
-            write(self, path)
+            return write(self, path)
         else:
             self.to_cases().save(path)
+        return [Path(path)]
 
     def to_cases(self) -> Cases:
         """Return the prediction as a data set.

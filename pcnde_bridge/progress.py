@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from rich.console import Console
@@ -15,7 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from pcnde_bridge.history import Iteration
+from pcnde_bridge.history import Iteration, OnRecord
 
 _LOG_EVERY = 10.0  # seconds between two lines where no bar can be drawn
 _DRAW_EVERY = 0.1  # seconds between two pictures of the bar
@@ -102,6 +104,24 @@ class TrainingProgress:
                 highlight=False,
                 soft_wrap=True,
             )
+
+
+@contextmanager
+def listening(progress: bool | OnRecord, total: int, done: int = 0) -> Iterator[OnRecord | None]:
+    """Give what is called with every iteration: a bar, the caller's function, or nothing.
+
+    Parameters
+    ----------
+    progress : bool or callable
+        True shows a bar.
+    total, done : int
+        As of :class:`TrainingProgress`.
+    """
+    if progress is True:
+        with TrainingProgress(total, done) as bar:
+            yield bar
+    else:
+        yield progress if callable(progress) else None
 
 
 class TaskProgress:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -54,6 +53,8 @@ def read_published_weights(folder: str | os.PathLike[str]) -> Parameters:
 
 
 def _read(path: Path, size: int) -> Array:
+    import h5py
+
     if not path.is_file():
         raise DataNotFoundError(
             f"There is no {path.name} in {path.parent}. Give the folder of the authors' "

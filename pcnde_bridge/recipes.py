@@ -22,7 +22,7 @@ from pcnde_bridge.engines.base import Engine, Grid, Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.parameters import STAGES, Parameters
-from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.progress import listening
 from pcnde_bridge.training import Trainer, TrainingState
 
 Array = npt.NDArray[np.float64]
@@ -48,22 +48,18 @@ def train(
     progress: bool | Callable[[Iteration], None],
 ) -> Trained:
     """Train from the start or from the checkpoint; see :meth:`PCNDE.fit`."""
-    on_record = progress if callable(progress) else None
     trainer: Any
     if isinstance(config, ClosureConfig):
-        trainer = ClosureTrainer(cases, config, engine, checkpoint, on_record)
+        trainer = ClosureTrainer(cases, config, engine, checkpoint)
     else:
-        trainer = Trainer(cases, config, engine, checkpoint, on_record)
+        trainer = Trainer(cases, config, engine, checkpoint)
     state = trainer.start(seed)
     # Sums of several threads depend on their number, which worker processes may limit;
     # these matrices are too small for threads to gain anything.
-    with threadpool_limits(1, user_api="blas"):
-        if progress is True:
-            with TrainingProgress(trainer.total(state), len(state.history)) as bar:
-                trainer.on_record = bar
-                state = trainer.run(state)
-        else:
-            state = trainer.run(state)
+    heard = listening(progress, trainer.total(state), len(state.history))
+    with threadpool_limits(1, user_api="blas"), heard as on_record:
+        trainer.on_record = on_record
+        state = trainer.run(state)
     facts: dict[str, Any] = {"seconds": state.seconds}
     if isinstance(state, TrainingState):
         facts["batches"] = [[int(i) for i in batch] for batch in state.batches]

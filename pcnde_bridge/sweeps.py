@@ -14,6 +14,7 @@ from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
 from pcnde_bridge.tasks import Workers, run
+from pcnde_bridge.validation import whole_seeds
 
 
 def sweep(
@@ -54,7 +55,7 @@ def sweep(
     Raises
     ------
     InputError
-        If there is nothing to fit, or a preset is unknown.
+        If there is nothing to fit, a seed comes twice, or a preset is unknown.
 
     Examples
     --------
@@ -62,11 +63,12 @@ def sweep(
     >>> wider = PRESETS["fast"].replace(flow={"hidden": [16, 16]})
     >>> sweep(train, test, {"fast": "fast", "wider": wider}, seeds=range(3))  # doctest: +SKIP
     """
-    if not configs or not len(seeds):
-        raise InputError("sweep needs at least one configuration and one seed.")
+    if not configs:
+        raise InputError("sweep needs at least one configuration.")
+    seeds = whole_seeds(seeds)
     settings = {name: resolve_config(config) for name, config in configs.items()}
     engine = same_everywhere(engine)
-    keys = [(name, int(seed)) for name in settings for seed in seeds]
+    keys = [(name, seed) for name in settings for seed in seeds]
     tasks = {
         f"{name}, seed {seed}": FitTask(train, settings[name], engine, seed, held_out)
         for name, seed in keys

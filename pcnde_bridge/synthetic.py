@@ -25,6 +25,7 @@ from pcnde_bridge.cases import Cases
 from pcnde_bridge.datasets import _cache_folder
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.tube1d import Tube1D, Windkessel
+from pcnde_bridge.validation import whole
 from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.waveform import DATA_FACTORS, Waveform, coronary
 
@@ -108,13 +109,9 @@ def synthetic(
     >>> from pcnde_bridge.synthetic import synthetic
     >>> train, test = synthetic().split("paper")  # doctest: +SKIP
     """
-    for name, value, least in (
-        ("n_geometries", n_geometries, 1),
-        ("n_waveforms", n_waveforms, 1),
-        ("seed", seed, 0),
-    ):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
+    n_geometries = whole("n_geometries", n_geometries, 1)
+    n_waveforms = whole("n_waveforms", n_waveforms, 1)
+    seed = whole("seed", seed)
     positions = tuple(float(position) for position in stenosis_positions)
     if not positions and n_geometries > 1:
         raise InputError(

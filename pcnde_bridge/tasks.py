@@ -33,7 +33,7 @@ import multiprocessing
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures import BrokenExecutor as PoolBroken
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ import numpy as np
 
 from pcnde_bridge.archive import archive_kind, read_archive, write_archive
 from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
-from pcnde_bridge.files import check_writable
+from pcnde_bridge.files import check_writable, make_folder
 from pcnde_bridge.progress import TaskProgress
 
 Task = TypeVar("Task")
@@ -196,7 +196,9 @@ def run(
         finished = _one_by_one(function, tasks, names, retries)
     else:
         finished = _at_once(function, tasks, names, executor, retries)
-    with TaskProgress(len(tasks), len(results), progress) as bar:
+    shown = TaskProgress(len(tasks), len(results), progress)
+    # Closed by name: an error's traceback keeps the iterator, and so the pool, alive.
+    with contextlib.closing(finished), shown as bar:
         for name, result, failure in finished:
             if failure is not None:
                 failures[name] = failure
@@ -211,7 +213,7 @@ def run(
     )
 
 
-_Finished = tuple[str, Any, str | None]  # name, result, why it failed
+_Finished = Generator[tuple[str, Any, str | None], None, None]  # name, result, why it failed
 
 
 class _Failures:
@@ -235,7 +237,7 @@ def _words(error: BaseException) -> str:
 
 def _one_by_one(
     function: Callable[[Task], Any], tasks: Mapping[str, Task], names: list[str], retries: int
-) -> Iterator[_Finished]:
+) -> _Finished:
     failures = _Failures(retries)
     for name in names:
         while True:
@@ -256,7 +258,7 @@ def _at_once(
     names: list[str],
     executor: Workers,
     retries: int,
-) -> Iterator[_Finished]:
+) -> _Finished:
     """Keep the executor busy.
 
     A process that dies takes its pool with it, and the tasks of the other processes;
@@ -321,7 +323,13 @@ def _at_once(
         for future in running:
             future.cancel()
         if not isinstance(executor, Executor):
+            # A shutdown that does not wait leaves tasks running, and the interpreter's exit
+            # would wait for them.
+            unwanted = {} if done_well else getattr(pool, "_processes", None) or {}
+            workers = list(unwanted.values())
             pool.shutdown(wait=done_well, cancel_futures=True)
+            for worker in workers:
+                worker.terminate()
 
 
 def remove_results(folder: str | os.PathLike[str]) -> None:
@@ -340,10 +348,7 @@ class _Kept:
         self._folder = folder
         # As a file gives it back: tuples are lists there.
         self._facts = json.loads(json.dumps(facts))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+        make_folder(folder)
         check_writable(self._path("result"))
 
     def _path(self, name: str) -> Path:

@@ -8,7 +8,6 @@ run continued from a checkpoint repeats the interrupted one bit for bit.
 
 from __future__ import annotations
 
-import logging
 import os
 import time
 from collections.abc import Mapping
@@ -22,7 +21,7 @@ import numpy.typing as npt
 from pcnde_bridge import all_at_once
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.checkpoints import Checkpoint
+from pcnde_bridge.checkpoints import Checkpoint, tell_of_other_engine
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.base import (
     Engine,
@@ -41,9 +40,7 @@ from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-checkpoint", 1
-
-_log = logging.getLogger("pcnde_bridge")
+FORMAT, FORMAT_VERSION = "pcnde-checkpoint", 1
 
 
 class Unit(NamedTuple):
@@ -197,7 +194,7 @@ class Trainer:
         self._grid = Grid(cases.time, cases.z, cases.period)
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
+            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
         self.on_record = on_record
 
     def total(self, state: TrainingState) -> int:
@@ -435,7 +432,6 @@ class Trainer:
             "couplings": len(state.couplings),
             "config": self._config.to_dict(),
             "cases": self._cases.fingerprint(),
-            "engine": self._engine.name,
             "batch_sizes": [len(batch) for batch in state.batches],
             "units": len(plan(self._config, len(state.batches))),
             "provenance": provenance(self._cases, self._engine, state.seed),
@@ -453,6 +449,7 @@ class Trainer:
         self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
     ) -> TrainingState:
         try:
+            before = facts["provenance"]["engine"]
             same_cases = facts["cases"] == self._cases.fingerprint()
             same_config = PCNDEConfig.from_dict(facts["config"]) == self._config
             state = TrainingState(
@@ -477,14 +474,7 @@ class Trainer:
                 f"{path} belongs to a run with another configuration. Give the same one, or "
                 "another checkpoint file."
             )
-        if facts.get("engine") != self._engine.name:
-            _log.warning(
-                "%s was written with the %s engine and continues with %s: the result agrees to "
-                "the accuracy of the solver, not bit for bit.",
-                path,
-                facts.get("engine"),
-                self._engine.name,
-            )
+        tell_of_other_engine(path, before, self._engine.name)
         return state
 
 

@@ -48,6 +48,7 @@ from pcnde_bridge.cases import Cases, UnitsWarning
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.precision import double_precision
 from pcnde_bridge.stenosis import effective_length, turbulent_drop, viscous_drop
+from pcnde_bridge.validation import whole
 from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.wall import LinearWall, OlufsenWall
 from pcnde_bridge.waveform import Waveform
@@ -168,9 +169,8 @@ class Tube1D:
                 f"got {self.turbulent_coefficient!r}."
             )
         for name, least in (("n_times", 4), ("steps", 1), ("cycles", 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(f"Tube1D.{name} must be a whole number ≥ {least}, got {value!r}.")
+            value = whole(f"Tube1D.{name}", getattr(self, name), least)
+            object.__setattr__(self, name, value)
         if self.steps % self.n_times:
             raise InputError(
                 f"Tube1D.steps = {self.steps} is not a multiple of n_times = {self.n_times}, "

@@ -12,23 +12,17 @@ published data scale Aₙ and Bₙ together.  Both forms are here, see
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
-from pcnde_bridge.stenosis import reynolds_number
+from pcnde_bridge.errors import InputError
 
 Array = npt.NDArray[np.float64]
 Form = Literal["oscillation", "printed"]
-
-PRINTED_FACTORS = (-2.0, -1.0, -0.5, 1.0, 1.5, 1.75, 2.0, 2.5)
-"""The factors c that the paper prints."""
 
 DATA_FACTORS = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.375, 1.5, 1.75)
 """Factors of the oscillation measured on the paper's data, waveforms 0 … 9."""
@@ -155,29 +149,6 @@ class Waveform:
         """One waveform per factor, see :meth:`scaled`; the default is the data's family."""
         return tuple(self.scaled(factor, form) for factor in factors)
 
-    def reynolds(
-        self, diameter: float = 0.4, density: float = 1.06, viscosity: float = 0.04
-    ) -> float:
-        """Reynolds number at the largest flow of the cycle.
-
-        Parameters
-        ----------
-        diameter : float
-            Of the vessel, cm.
-        density, viscosity : float
-            ρ (g/cm³) and μ (poise).
-        """
-        # Eight instants per period of the highest harmonic find the peak to 0.1 %.
-        peak = np.abs(self.samples(max(100, 16 * self.n_terms))).max()
-        area = math.pi * diameter**2 / 4
-        return float(reynolds_number(peak, area, density, viscosity))
-
-    def womersley(
-        self, diameter: float = 0.4, density: float = 1.06, viscosity: float = 0.04
-    ) -> float:
-        """Womersley number (D/2)·√(2πρ/(T·μ)) of the first harmonic; parameters as above."""
-        return diameter / 2 * math.sqrt(2.0 * math.pi * density / (self.period * viscosity))
-
     @classmethod
     def from_samples(
         cls,
@@ -229,56 +200,6 @@ class Waveform:
             tuple((-spectrum[1:].imag).tolist()),
             float(period),
         )
-
-    @classmethod
-    def from_csv(
-        cls, path: str | os.PathLike[str], period: float = 1.0, n_terms: int | None = 60
-    ) -> Waveform:
-        """Fourier series of a measured waveform in a CSV file.
-
-        Parameters
-        ----------
-        path : path-like
-            Two columns, time (s) and flow (mL/s), or flow alone in equal steps of
-            one cycle; comma-separated, with or without one header line.
-        period, n_terms
-            See :meth:`from_samples`.
-
-        Raises
-        ------
-        DataNotFoundError
-            If there is no such file.
-        FileError
-            If the file is not such a table.
-        InputError
-            If its numbers are not usable.
-        """
-        path = Path(path)
-        if not path.is_file():
-            raise DataNotFoundError(f"No waveform file {path}; check the path.")
-        try:
-            lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line]
-        except (OSError, UnicodeDecodeError) as error:
-            raise FileError(f"{path} is not a readable text file: {error}.") from error
-        rows: list[list[float]] = []
-        for number, line in enumerate(lines, start=1):
-            try:
-                rows.append([float(cell) for cell in line.split(",")])
-            except ValueError as error:
-                if number > 1:
-                    raise FileError(f"{path}, row {number}: {line!r} is not numbers.") from error
-            if rows and len(rows[-1]) not in (1, 2):
-                raise FileError(f"{path}, row {number}: expected time,flow or flow, got {line!r}.")
-            if rows and len(rows[-1]) != len(rows[0]):
-                raise FileError(f"{path}, row {number}: not as many columns as the rows before.")
-        if not rows:
-            raise FileError(f"{path} holds no numbers; expected the columns time,flow.")
-        table = np.array(rows)
-        time = table[:, 0] if table.shape[1] == 2 else None
-        try:
-            return cls.from_samples(table[:, -1], time, period, n_terms)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
 
 
 def coronary(period: float = 1.0) -> Waveform:

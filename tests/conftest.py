@@ -66,6 +66,20 @@ def small_cases() -> Cases:
 
 
 @pytest.fixture(scope="session")
+def other_period(small_cases) -> Cases:
+    """The same numbers in a shorter cycle: what only the grid tells apart."""
+    arrays = {name: getattr(small_cases, name) for name in ("flow", "area", "pressure")}
+    return Cases(
+        **arrays,
+        area_undeformed=small_cases.area_undeformed,
+        time=0.8 * small_cases.time,
+        z=small_cases.z,
+        period=0.8,
+        labels=small_cases.labels,
+    )
+
+
+@pytest.fixture(scope="session")
 def published_folder() -> Path:
     """Folder of the authors' data set; skips where it is not on this machine."""
     try:
@@ -217,15 +231,18 @@ def toy_config(small_config) -> PCNDEConfig:
 
 @pytest.fixture
 def run_pcnde(monkeypatch, capsys):
-    """Run the command line in this process: (exit code, output, errors)."""
+    """Run ``pcnde`` in this process: exit code, standard output, standard error."""
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
+        capsys.readouterr()
         try:
             cli.main()
             code = 0
         except SystemExit as end:
             code = end.code or 0
-        return code, *capsys.readouterr()
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
 
     return run

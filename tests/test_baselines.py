@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import warnings
 
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, InputError
+from pcnde_bridge import PCNDE, Cases, InputError, OutsideTrainingWarning
 from pcnde_bridge.baselines import (
     FEM_WALL,
     ResponseSurface,
@@ -16,7 +17,8 @@ from pcnde_bridge.baselines import (
     standard_baselines,
 )
 from pcnde_bridge.bench import Row, bench_baseline, bench_model, write_rows
-from pcnde_bridge.metrics import VARIABLES, pooled_errors
+from pcnde_bridge.cases import VARIABLES
+from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
 
 
@@ -213,6 +215,16 @@ def test_bench_of_a_model(sets, small_config, toy_engine):
     assert row.fit_seconds == model.provenance["seconds"]
 
 
+def test_bench_does_not_warn_of_what_its_errors_show(small_cases, small_config, toy_engine):
+    weak, strong = small_cases.select(waveform=[0, 1]), small_cases.select(waveform=[3])
+    model = PCNDE.fit(weak, small_config, engine=toy_engine, progress=False)
+    with pytest.warns(OutsideTrainingWarning):
+        model.predict(strong)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bench_model(model, {"test": strong})
+
+
 def test_rows_as_json(tmp_path):
     rows = [Row("a", {"test": {"flow": 0.5}}, 1.0, 2.0), Row("b", reason="too few")]
     write_rows(tmp_path / "rows.json", rows, data="mine")
@@ -295,6 +307,10 @@ def test_bench_of_a_saved_model(run, folder, sets, small_config, toy_engine, mon
         (("absent",), "neither a file or folder"),
         (("cases.npz", "--model", "absent.npz"), "absent.npz"),
         (("cases.npz", "--preset", "slow"), "Unknown preset"),
+        (("cases.npz", "--model", "m", "--preset", "fast"), "leave out --model, or --preset"),
+        (("cases.npz", "--model", "m", "--config", "c.json"), "leave out --model, or --config"),
+        (("cases.npz", "--model", "m", "--seed", "1"), "leave out --model, or --seed"),
+        (("cases.npz", "--model", "m", "--checkpoint", "c"), "leave out --model, or --checkpoint"),
         (("cases.npz", "--json", "absent/bench.json"), "existing folder"),
     ],
 )

@@ -14,29 +14,23 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, SolveError, __version__, cli
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    OutsideTrainingWarning,
+    PCNDEWarning,
+    SolveError,
+    __version__,
+    cli,
+)
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.doctor import Finding
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """Run ``pcnde`` in this process: exit code, standard output, standard error."""
+def run(run_pcnde, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["pcnde", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return code, out, err
-
-    return run
+    return run_pcnde
 
 
 def process(*arguments, **options):
@@ -375,6 +369,17 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
     pd.testing.assert_frame_equal(pd.read_csv(out), expected.to_frame(), rtol=1e-13)
 
 
+def test_predict_names_the_files_that_it_wrote(folder, tmp_path, run):
+    pytest.importorskip("vtkmodules")
+    code, printed, _ = run(
+        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
+        "--area", folder / "area.csv", "--out", tmp_path / "p.vtp", "--engine", "jax",
+    )  # fmt: skip
+    assert code == 0
+    assert f"Saved 12 cases in {tmp_path / 'p_000.vtp'} to p_011.vtp." in printed
+    assert len(list(tmp_path.iterdir())) == 12
+
+
 def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     def refused(model="model.pcnde", inflow="inflow.csv", area="area.csv", out="result.csv"):
         code, printed, err = run(
@@ -476,6 +481,18 @@ def test_bad_use(run):
         assert code == 0
         assert "Usage" in printed
     assert run("--version")[:2] == (0, f"{__version__}\n")
+
+
+def test_the_packages_warnings_have_no_line_of_code(capsys):
+    for category, has_line in (
+        (PCNDEWarning, False),
+        (OutsideTrainingWarning, False),
+        (UserWarning, True),
+    ):
+        cli._note_warning("It is so.", category, "somewhere.py", 7)
+        err = capsys.readouterr().err
+        assert "It is so." in err
+        assert ("somewhere.py:7" in err) == has_line
 
 
 def test_the_script_is_installed():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import SimpleNamespace
 
 import pandas as pd
@@ -186,6 +188,15 @@ def test_predictions_keep_to_their_cases(material, small_cases):
         material.by_other(material.train)
 
 
+def test_smoothness_names_the_truth(material, monkeypatch):
+    seen, study = {}, SimpleNamespace(to_frame=pd.DataFrame)
+    monkeypatch.setattr(module.studies, "compare_formulations", lambda *_, **__: study)
+    monkeypatch.setattr(module.plots, "smoothness", lambda _, **options: seen.update(options))
+    material.truth_label = "1D solver"
+    module._smoothness(material)
+    assert seen == {"truth_label": "1D solver"}
+
+
 def test_outermost(small_cases):
     assert outermost(small_cases) == 11
     assert outermost(small_cases.select([11, 0, 5])) == 0
@@ -259,6 +270,23 @@ def test_pcnde_figures_only_and_with_a_split(run_pcnde, files):
     }
     assert "pointwise-errors: pointwise-errors.png, pointwise-errors.pdf" in text
     assert "--studies" not in text
+
+
+def test_pcnde_figures_with_workers(run_pcnde, files, unpainted, monkeypatch):
+    made = []
+
+    def pool(workers):
+        made.append(workers)
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr("pcnde_bridge.tasks.processes", lambda workers: partial(pool, workers))
+    noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
+    assert run_pcnde(*noise, "--out", files / "one")[0] == 0
+    assert made == []
+    assert run_pcnde(*noise, "--out", files / "two", "--workers", "2")[0] == 0
+    assert made == [2]
+    for folder in ("one", "two"):
+        assert [path.name for path in (files / folder).iterdir()] == ["noise-inflow.png"]
 
 
 def test_pcnde_figures_says_what_is_wrong(run_pcnde, files):

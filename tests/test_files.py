@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
 import stat
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.errors import DataNotFoundError, FileError
-from pcnde_bridge.files import atomic_write, sha256_arrays, sha256_file
+from pcnde_bridge.files import atomic_write, sha256_arrays
 
 
 def names(folder):
@@ -91,14 +90,6 @@ def test_full_disk(tmp_path):
 def test_other_trouble_is_told_in_its_own_words(tmp_path):
     with pytest.raises(FileError, match="Input/output error"), atomic_write(tmp_path / "a.txt"):
         raise OSError(errno.EIO, "Input/output error")
-
-
-def test_sha256_file(tmp_path):
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"abc" * 1_000_000)
-    assert sha256_file(path) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
-    with pytest.raises(FileError, match="cannot read"):
-        sha256_file(tmp_path / "absent")
 
 
 def test_sha256_arrays_sees_contents_not_layout():

@@ -29,6 +29,7 @@ from pcnde_bridge import (
     PCNDEError,
     UnitsWarning,
 )
+from pcnde_bridge.cases import VARIABLES
 from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.formats import (
     VesselResults,
@@ -44,8 +45,6 @@ from pcnde_bridge.formats import (
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
 
-FIELDS = ("flow", "area", "pressure")
-
 
 @pytest.fixture(scope="module")
 def vessel(small_cases) -> VesselResults:
@@ -56,7 +55,7 @@ def vessel(small_cases) -> VesselResults:
 def results_of(cases, case, name="vessel"):
     return VesselResults(
         name,
-        *(getattr(cases, field)[case] for field in FIELDS),
+        *(getattr(cases, field)[case] for field in VARIABLES),
         cases.area_undeformed[case],
         cases.time,
         cases.z,
@@ -78,7 +77,7 @@ def at_times(vessel, time):
         return np.real(np.exp(np.outer(time, phase)) @ weight)
 
     return replaced(
-        vessel, time=np.asarray(time), **{f: series(getattr(vessel, f)) for f in FIELDS}
+        vessel, time=np.asarray(time), **{f: series(getattr(vessel, f)) for f in VARIABLES}
     )
 
 
@@ -86,7 +85,7 @@ def at_times(vessel, time):
 def prediction(small_cases) -> Prediction:
     chosen = small_cases.select([0, 6, 11])
     return Prediction(
-        *(np.array(getattr(chosen, name)) for name in (*FIELDS, "area_undeformed", "time", "z")),
+        *(np.array(getattr(chosen, name)) for name in (*VARIABLES, "area_undeformed", "time", "z")),
         period=1.0,
         labels=chosen.labels,
         novelty=np.array([0.1, 0.2, 0.3]),
@@ -101,7 +100,7 @@ def test_whole_results_are_taken_as_they_are(small_cases):
         warnings.simplefilter("error")
         found = to_cases([results_of(small_cases, i) for i in (3, 6)])
     assert found.period == 1.0
-    for name in (*FIELDS, "area_undeformed"):
+    for name in (*VARIABLES, "area_undeformed"):
         assert np.array_equal(getattr(found, name), getattr(small_cases, name)[[3, 6]])
     assert list(found.labels["geometry"]) == [0, 1]
 
@@ -131,11 +130,11 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
     assert f"--units {suspect}=" in str(caught.value)
     found = to_cases([other], units=units)
     expected = to_cases([vessel])
-    for name in (*FIELDS, "area_undeformed", "time", "z"):
+    for name in (*VARIABLES, "area_undeformed", "time", "z"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", [*FIELDS, "z"])
+@pytest.mark.parametrize("name", [*VARIABLES, "z"])
 def test_what_is_off_by_a_thousand_is_refused(vessel, name):
     for factor in (1e3, 1e-3):
         with pytest.raises(InputError, match="does not look like CGS units"):
@@ -175,13 +174,13 @@ def test_flow_against_z_is_refused_with_both_remedies(vessel):
     backwards = replaced(
         vessel,
         area_undeformed=vessel.area_undeformed[::-1],
-        **{f: (-1 if f == "flow" else 1) * getattr(vessel, f)[:, ::-1] for f in FIELDS},
+        **{f: (-1 if f == "flow" else 1) * getattr(vessel, f)[:, ::-1] for f in VARIABLES},
     )
     with pytest.raises(InputError, match="runs against z"):
         to_cases([backwards])
     found = to_cases([backwards], flip="z")
     np.testing.assert_allclose(found.z, vessel.z, atol=1e-15)
-    for name in FIELDS:
+    for name in VARIABLES:
         assert np.array_equal(getattr(found, name)[0], getattr(vessel, name))
     mixed = np.where(vessel.z > 3, -1, 1) * vessel.flow
     with pytest.raises(InputError, match="the sign changes on the way"):
@@ -278,7 +277,7 @@ def test_vessels_of_one_data_set_have_one_grid(vessel):
         ({"units": {"pressure": "bar"}}, "Unknown unit 'bar' of pressure; known are .*mmHg"),
         ({"units": {"presure": "Pa"}}, "units names 'presure'"),
         ({"flip": "area"}, "flip must be 'flow' or 'z'"),
-        ({"instants": 3}, "instants must be a whole number of at least 4"),
+        ({"instants": 3}, "instants must be a whole number ≥ 4"),
         ({"instants": 10.5}, "instants must be a whole number"),
         ({"period": -1.0}, "period must be a positive number"),
         ({"period": "1"}, "period must be a positive number"),
@@ -349,7 +348,7 @@ def test_reads_what_the_slicer_writes(vessel, tmp_path):
         read_simvascular(path, time_step=1e-3)
     found = read_simvascular([path], time_step=1e-3, period=1.0)
     np.testing.assert_allclose(found.z, vessel.z, atol=1e-12)
-    for name in FIELDS:
+    for name in VARIABLES:
         np.testing.assert_allclose(getattr(found, name)[0], getattr(vessel, name), rtol=1e-9)
     assert np.array_equal(found.area_undeformed[0], vessel.area_undeformed)
 
@@ -483,7 +482,7 @@ def sv1d(folder, vessel, *, pieces=(8, 6, 6), step=0.01, every=5, nodes=None):
             f"SEGMENT Group{i}_Seg0 {i} {length} {elements} {ends[0]} {ends[1]} {s_u[start]} "
             f"{s_u[end]} 0.0 MAT1 NONE 0.0 0 0 NOBOUND NONE"
         )
-        for field in FIELDS:
+        for field in VARIABLES:
             table = getattr(vessel, field).T[start : end + 1]
             np.savetxt(folder / f"results_Group{i}_Seg0_{field}.dat", table, fmt="%.17g")
         start = end
@@ -505,7 +504,7 @@ def test_reads_a_chain_of_segments(straight, tmp_path):
     found = read_sv1d(path, period=1.0)
     np.testing.assert_allclose(found.z, straight.z)
     np.testing.assert_allclose(found.area_undeformed[0], straight.area_undeformed)
-    for name in FIELDS:
+    for name in VARIABLES:
         np.testing.assert_allclose(getattr(found, name)[0], getattr(straight, name), rtol=1e-9)
     part = read_sv1d(path, segments=["Group1_Seg0", "Group2_Seg0"], period=1.0)
     np.testing.assert_allclose(part.flow, found.flow[:, :, 8:])
@@ -557,7 +556,7 @@ def test_tidy_tables_round_trip(prediction, tmp_path):
     prediction.save(tmp_path / "p.csv")
     found = read_csv(tmp_path / "p.csv", period=1.0)
     assert list(found.labels["patient"]) == ["patient 1", "patient 2", "patient 3"]
-    for name in (*FIELDS, "area_undeformed"):
+    for name in (*VARIABLES, "area_undeformed"):
         np.testing.assert_allclose(getattr(found, name), getattr(prediction, name), rtol=1e-14)
     prediction.save(tmp_path / "p.csv.gz")
     assert read_csv(tmp_path / "p.csv.gz", period=1.0) == found
@@ -579,7 +578,7 @@ def test_tidy_tables_round_trip(prediction, tmp_path):
 )
 def test_tables_that_are_not_whole(vessel, tmp_path, change, message):
     time, z = (grid.ravel() for grid in np.meshgrid(vessel.time, vessel.z, indexing="ij"))
-    fields = {field: getattr(vessel, field).ravel() for field in FIELDS}
+    fields = {field: getattr(vessel, field).ravel() for field in VARIABLES}
     fields["area_undeformed"] = np.tile(vessel.area_undeformed, vessel.time.size)
     frame = pd.DataFrame({"time": time, "z": z, **fields})
     frame.to_csv(tmp_path / "a.csv", index=False)
@@ -608,6 +607,16 @@ def test_reads_hdf5_of_others_and_of_ours(small_cases, vessel, tmp_path):
         read_hdf5(tmp_path / "theirs.h5", names={"Q": "flow"})
 
 
+def test_text_of_hdf5_is_unicode_however_it_is_stored(vessel, tmp_path):
+    with h5py.File(tmp_path / "cases.h5", "w") as file:
+        for name in (*VARIABLES, "area_undeformed", "time", "z"):
+            file[name] = getattr(vessel, name)
+        file["labels/patient"] = ["Müller"]  # of variable length
+        file["labels/surgeon"] = np.char.encode(["Søren"], "utf-8")  # of fixed length
+    labels = read_hdf5(tmp_path / "cases.h5").labels
+    assert labels.loc[0, ["patient", "surgeon"]].tolist() == ["Müller", "Søren"]
+
+
 # ---- predictions out
 
 
@@ -617,6 +626,12 @@ def test_centrelines_round_trip(prediction, tmp_path):
     found = read_simvascular(paths)
     assert found == prediction.to_cases()
     assert read_simvascular(paths[1]) == prediction.to_cases().select([1])
+
+
+def test_a_label_may_be_a_truth_value(prediction, tmp_path):
+    labels = prediction.labels.assign(treated=[True, False, True])
+    paths = write_vtp(replaced(prediction, labels=labels), tmp_path / "p.vtp")
+    assert read_simvascular(paths).labels["treated"].tolist() == [1, 0, 1]
 
 
 def test_the_animation_has_a_file_for_each_step(prediction, tmp_path):
@@ -634,7 +649,7 @@ def test_the_animation_has_a_file_for_each_step(prediction, tmp_path):
 
 
 def test_to_xarray(prediction):
-    drawn = {name: np.stack([getattr(prediction, name)] * 2) for name in FIELDS}
+    drawn = {name: np.stack([getattr(prediction, name)] * 2) for name in VARIABLES}
     dataset = replaced(prediction, samples=drawn).to_xarray()
     assert dataset["flow"].dims == ("case", "time", "z")
     assert dataset["pressure"].attrs["units"] == "dyn/cm^2"
@@ -647,10 +662,10 @@ def test_to_xarray(prediction):
 
 
 def test_save_by_ending(prediction, tmp_path):
-    prediction.save(tmp_path / "p.h5")
+    assert prediction.save(tmp_path / "p.h5") == [tmp_path / "p.h5"]
     assert Cases.load(tmp_path / "p.h5") == prediction.to_cases()
     flow_only = replaced(prediction, pressure=None)
-    flow_only.save(tmp_path / "q.vtp")
+    assert flow_only.save(tmp_path / "q.vtp") == sorted(tmp_path.glob("q_*.vtp"))
     assert len(list(tmp_path.glob("q_*.vtp"))) == 3
     with pytest.raises(InputError, match=r"no pressure stages.*\.csv or \.vtp"):
         flow_only.save(tmp_path / "q.npz")

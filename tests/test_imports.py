@@ -9,8 +9,11 @@ import pytest
 
 import pcnde_bridge
 
-HEAVY = ("jax", "jaxlib", "diffrax", "juliacall", "juliapkg", "matplotlib", "scipy.optimize")
-OPTIONAL = ("vtkmodules", "xarray")
+HEAVY = (
+    *("jax", "jaxlib", "diffrax", "juliacall", "juliapkg"),
+    *("matplotlib", "scipy.optimize", "h5py"),
+)
+OPTIONAL = ("vtkmodules", "xarray", "dash")
 
 
 @pytest.mark.parametrize(

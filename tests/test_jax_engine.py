@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from itertools import pairwise
@@ -37,6 +38,10 @@ def engine():
 @pytest.fixture(scope="module")
 def grid(small_cases):
     return Grid(small_cases.time, small_cases.z, small_cases.period)
+
+
+def test_it_travels_to_another_process_as_a_name(engine):
+    assert pickle.loads(pickle.dumps(type(engine)())) is engine  # noqa: S301
 
 
 @pytest.fixture(scope="module")

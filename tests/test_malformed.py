@@ -38,7 +38,6 @@ from pcnde_bridge.published_weights import FILES as WEIGHTS
 from pcnde_bridge.published_weights import read_published_weights
 from pcnde_bridge.tables import read_columns
 from pcnde_bridge.training import Trainer
-from pcnde_bridge.waveform import Waveform
 
 FIELDS = ("flow", "area", "pressure")
 REFUSED = FileError, InputError
@@ -87,7 +86,6 @@ def good(tmp_path_factory, small_cases, small_config):
     for stage, size in (("flow", 2724), ("intermediate_area", 202), ("fourier_area", 202)):
         with h5py.File(folder / "weights" / WEIGHTS[stage], "w") as file:
             file["p"] = np.zeros(size, dtype=np.float32)
-    (folder / "waveform.csv").write_text("time,flow\n0,1\n0.25,2\n0.5,1.5\n0.75,1\n")
     return folder
 
 
@@ -184,7 +182,6 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
         "hdf5": Reader("cases.h5", read_hdf5, convert("hdf5")),
         "foreign hdf5": Reader("foreign.h5", read_hdf5, None),
         "weights": Reader("weights", read_published_weights, None),
-        "waveform": Reader("waveform.csv", Waveform.from_csv, None),
     }  # fmt: skip
 
 
@@ -534,6 +531,7 @@ TABLE = [
      InputError, "--units pressure=mmHg"),
     # ---- tidy tables
     ("csv", "missing", Path.unlink, DataNotFoundError, "There is no file"),
+    ("csv", "a folder", folder_instead, FileError, "is a folder, not a table"),
     ("csv", "binary", replaced_by(bytes(range(256)) * 9), FileError, "Cannot read a table"),
     ("csv", "no pressure", table(lambda f: f.drop(columns="pressure")),
      InputError, "lacks the colu"),
@@ -558,7 +556,7 @@ TABLE = [
      "unknown unit 'furlong'"),
     ("hdf5", "claims 8 TB", h5(claims), FileError, "it claims 8796093022208 bytes"),
     ("hdf5", "link to another file", h5(elsewhere), FileError, "lies in another file"),
-    # ---- published weights and waveforms: no command reads them
+    # ---- published weights: no command reads them
     ("weights", "missing", inside(WEIGHTS["flow"], Path.unlink),
      DataNotFoundError, "There is no ptr"),
     ("weights", "a text", inside(WEIGHTS["flow"], replaced_by("p")),
@@ -572,11 +570,6 @@ TABLE = [
      FileError, "finite numbers"),
     ("weights", "claims 8 TB", inside(WEIGHTS["flow"], h5(partial(claims, name="p"))), FileError,
      "it claims"),
-    ("waveform", "missing", Path.unlink, DataNotFoundError, "No waveform file"),
-    ("waveform", "three columns", replaced_by("0,1,2\n1,2,3\n"), FileError, "expected time,flow"),
-    ("waveform", "not UTF-8", replaced_by(b"\xff\xfe\x00"), FileError, "not a readable text"),
-    ("waveform", "NaN", replaced_by("0,1\n0.3,nan\n0.6,2\n"), InputError, "must be finite"),
-    ("waveform", "time turns back", replaced_by("0,1\n0.6,1\n0.3,2\n"), InputError, "not later"),
 ]  # fmt: skip
 
 
@@ -631,7 +624,7 @@ def test_python(bad, row, readers):
     assert contents(bad.parent) == before
 
 
-@rows([row for row in TABLE if row[0] not in ("weights", "waveform")])
+@rows([row for row in TABLE if row[0] != "weights"])
 def test_command_line(bad, row, readers, run_pcnde):
     kind, _, _, _, message = row
     out = bad.parent / ("out.csv" if kind in ("model", "inflow", "area") else "out.npz")
@@ -691,7 +684,7 @@ def edited(whole, changes):
 INNER = {"authors": NPY, "weights": WEIGHTS["flow"], "sv1d": "solver.in"}
 KINDS = [
     "cases.npz", "cases.h5", "model", "checkpoint", "config", "split", "inflow", "area", "vtp",
-    "sv1d", "sv1d table", "csv", "hdf5", "foreign hdf5", "weights", "authors", "waveform",
+    "sv1d", "sv1d table", "csv", "hdf5", "foreign hdf5", "weights", "authors",
 ]  # fmt: skip
 
 

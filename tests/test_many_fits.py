@@ -15,17 +15,20 @@ from pcnde_bridge import (
     FileError,
     InputError,
     OutsideTrainingWarning,
+    PCNDEWarning,
+    SolveError,
     TaskError,
     cross_validate,
     load_model,
     sweep,
 )
 from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.cases import VARIABLES
 from pcnde_bridge.cross_validation import parts
 from pcnde_bridge.ensemble import Calibration
 from pcnde_bridge.fits import FitTask, fit_model, model_of
 from pcnde_bridge.info import describe, lines
-from pcnde_bridge.metrics import VARIABLES, coverage, pooled_errors
+from pcnde_bridge.metrics import coverage, pooled_errors
 from pcnde_bridge.tasks import processes, run
 
 NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressure"]
@@ -175,7 +178,7 @@ class FailingEngine:
 
 def test_failed_fits_are_left_out_and_told(small_cases, config):
     fit = {"members": 3, "folds": 2, "progress": False, "retries": 0}
-    with pytest.warns(UserWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
+    with pytest.warns(PCNDEWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
         ensemble = Ensemble.fit(small_cases, config, FailingEngine({0}), **fit)
     assert len(ensemble.members) == 2
     assert list(ensemble.provenance["failures"]) == ["member 0"]
@@ -256,8 +259,12 @@ def test_cross_validation(small_cases, config, engine, tmp_path):
     assert row[NUMBERS].tolist() == [*errors[0], *errors[1]]
     parallel = cross_validate(small_cases, config, engine, 3, executor=processes(2), progress=False)
     assert parallel[NUMBERS].equals(table[NUMBERS])
-    again = cross_validate(small_cases, config, engine, 3, folder=tmp_path, progress=False)
+    again = cross_validate(
+        small_cases, config, engine, np.int64(3), folder=tmp_path, progress=False
+    )
     pd.testing.assert_frame_equal(again, table)
+    with pytest.raises(InputError, match="seed must be a whole number ≥ 0, got -1"):
+        cross_validate(small_cases, config, engine, -1)
 
 
 def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
@@ -280,8 +287,10 @@ def test_a_sweep(small_cases, config, engine):
     alone = sweep(train, None, {"plain": config}, (0,), engine, progress=False)
     assert "flow" not in alone
     assert alone["train_flow"].iloc[0] == table["train_flow"].iloc[0]
-    with pytest.raises(InputError, match="at least one configuration and one seed"):
+    with pytest.raises(InputError, match="at least one configuration"):
         sweep(train, held, {}, (0,), engine)
+    with pytest.raises(InputError, match=r"none twice; got \[0, 0, 1\]"):
+        sweep(train, held, configs, [0, 0, 1], engine)
 
 
 # ---- what a file tells -----------------------------------------------------------------
@@ -422,6 +431,27 @@ def test_cross_validation_on_the_command_line(commands, small_cases, config, eng
     assert "mean, waveform" in printed
     written = pd.read_csv("table.csv", index_col=["label", "value"])
     np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
+
+
+def test_a_cross_validation_that_is_interrupted_names_its_folder(commands, engine, monkeypatch):
+    interrupt_at(engine, monkeypatch, 8)
+    code, _, err = commands("cross-validate", "--folder", "kept")
+    assert code == 130
+    assert "The finished fits are in kept: run the same command again" in err
+    code, printed, _ = commands("cross-validate", "--folder", "kept")
+    assert code == 0
+    assert "mean, geometry" in printed
+
+
+def test_a_cross_validation_without_any_result_is_a_failure(commands, engine, monkeypatch):
+    def lost(*args):
+        raise SolveError("It diverges.")
+
+    monkeypatch.setattr(engine.flow, "fit", lost)
+    code, printed, err = commands("cross-validate")
+    assert code == 1
+    assert "geometry 2: It diverges." in printed
+    assert "All fits failed" in err
 
 
 def test_bench_continues_its_training(commands, engine, tmp_path, monkeypatch):

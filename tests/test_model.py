@@ -66,7 +66,7 @@ def test_fit_needs_cases(cases):
 
 @pytest.mark.parametrize("seed", [-1, 1.0, "0", None, True, [1]])
 def test_fit_needs_a_seed(small_cases, small_config, toy_engine, seed):
-    with pytest.raises(InputError, match="seed must be a non-negative integer"):
+    with pytest.raises(InputError, match="seed must be a whole number ≥ 0"):
         PCNDE.fit(small_cases, small_config, engine=toy_engine, seed=seed)
 
 
@@ -528,25 +528,3 @@ def test_published_weights_that_are_missing_or_damaged(weights, toy_engine, name
             file[dataset] = value
         with pytest.raises(FileError, match=name):
             load()
-
-
-@pytest.mark.data
-def test_published_weights_give_the_reference_predictions(published_folder, published_cases):
-    reference = published_folder.parent / "reference" / "published_weights_prediction.npz"
-    if not reference.is_file():
-        pytest.skip("the reference predictions are not on this machine")
-    model = PCNDE.from_published_weights(published_folder, engine="jax")
-    test = published_cases.split("paper").test
-    found = model.predict(test)
-    with np.load(reference) as expected:
-        keys = [tuple(key) for key in expected["cases"]]
-        flow, area = expected["flow_3"].astype(float), expected["area_3"].astype(float)
-    ours = list(test.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
-    assert sorted(keys) == sorted(ours)
-    for i, key in enumerate(ours):
-        j = keys.index(key)
-        for mine, theirs in ((found.flow[i], flow[j]), (found.area[i], area[j])):
-            assert np.linalg.norm(mine - theirs) < 1e-3 * np.linalg.norm(theirs)
-    errors = model.evaluate(test).iloc[-1]
-    assert errors["flow"] == pytest.approx(0.0076, abs=1e-4)
-    assert errors["area"] == pytest.approx(0.0112, abs=1e-4)

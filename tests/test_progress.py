@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pcnde_bridge import progress
 from pcnde_bridge.history import Iteration
-from pcnde_bridge.progress import TaskProgress, TrainingProgress
+from pcnde_bridge.progress import TaskProgress, TrainingProgress, listening
 
 
 class Clock:
@@ -136,3 +136,12 @@ def test_an_interrupted_bar_stays_where_it_was():
         raise KeyboardInterrupt
     assert "1/10" in console.file.getvalue()
     assert "10/10" not in console.file.getvalue()
+
+
+def test_listening_is_a_bar_or_the_callers_function_or_nothing():
+    with listening(True, 3) as heard:
+        assert isinstance(heard, TrainingProgress)
+    with listening(print, 3) as heard:
+        assert heard is print
+    with listening(False, 3) as heard:
+        assert heard is None

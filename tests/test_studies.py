@@ -24,7 +24,6 @@ from pcnde_bridge.studies import (
     pointwise_errors,
     pressure_drops,
 )
-from pcnde_bridge.studies import noise as noise_module
 from pcnde_bridge.studies.activations import explained_variation, fit_pressure
 from pcnde_bridge.studies.noise import noisy_inputs
 
@@ -91,8 +90,7 @@ def test_no_noise_no_deviation(toy_model, hardest):
     assert max(study.spread().values()) < 1e-14
 
 
-def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest, toy_engine, monkeypatch):
-    monkeypatch.setattr(noise_module, "select_engine", lambda engine: toy_engine)
+def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest):
     here = noise_study(toy_model, hardest, draws=70)
     with ThreadPoolExecutor(2) as executor:
         there = noise_study(toy_model, hardest, draws=70, executor=executor)
@@ -127,6 +125,7 @@ def test_what_goes_to_a_process_can_go(small_model, hardest):
         ({"level": np.nan}, "level must be"),
         ({"draws": 1}, "draws must be"),
         ({"draws": True}, "draws must be"),
+        ({"seed": -1}, "seed must be"),
     ],
 )
 def test_bad_arguments_of_the_noise(toy_model, hardest, change, words):
@@ -203,12 +202,21 @@ def test_explained_variation_by_hand():
     [
         ({"activations": ["cosine"]}, "cosine"),
         ({"activations": []}, "at least one"),
+        ({"activations": ["relu", "relu"]}, "none twice"),
         ({"seeds": []}, "at least one"),
+        ({"seeds": [0, 0]}, "none twice"),
+        ({"seeds": [-1]}, r"seeds\[0\] must be a whole number"),
     ],
 )
 def test_bad_arguments_of_the_activations(toy_model, small_cases, change, words):
     with pytest.raises(InputError, match=words):
         activation_study(toy_model, small_cases, **change)
+
+
+def test_activations_need_the_models_grid(toy_model, small_cases, other_period):
+    for train, test in ((other_period, None), (small_cases, other_period)):
+        with pytest.raises(InputError, match=r"is 0\.76 in the cases but 0\.95 in"):
+            activation_study(toy_model, train, test)
 
 
 def test_physics_models_have_neither_network_nor_fourier_stage(small_cases, toy_model):

@@ -344,13 +344,26 @@ def test_variation_is_total_variation_along_z():
     assert variation(np.ones((2, 3, 11))) == 0
 
 
+def test_formulations_need_one_grid(small_cases, other_period):
+    with pytest.raises(InputError, match=r"is 0\.76 in the cases but 0\.95 in"):
+        compare_formulations(small_cases, other_period)
+
+
 def test_formulations_need_known_names(small_cases):
     with pytest.raises(InputError, match="tempral"):
         compare_formulations(small_cases, formulations=("tempral",), engine="jax")
+    with pytest.raises(InputError, match="at least one formulation"):
+        compare_formulations(small_cases, formulations=())
+    with pytest.raises(InputError, match="seed must be a whole number"):
+        compare_formulations(small_cases, seed=-1)
 
 
 def test_figures_show_what_the_studies_hold(study, formulations):
-    figure = plots.smoothness(formulations, "test", case=1)
+    figure = plots.smoothness(formulations, "test", case=1, truth_label="1D solver")
+    assert [text.get_text() for text in figure.legends[0].texts][:2] == [
+        "1D solver",
+        "in space, $f(Q, S)$",
+    ]
     assert len(figure.axes) == 6
     lines = figure.axes[1].get_lines()
     assert len(lines) == 4
@@ -360,6 +373,8 @@ def test_figures_show_what_the_studies_hold(study, formulations):
     )
     with pytest.raises(InputError, match="no case"):
         plots.smoothness(formulations, "test", case=2)
+    with pytest.raises(InputError, match="from 0 to 1"):
+        plots.smoothness(formulations, "test", position=1.5)
     mesh = plots.landscapes(study).axes[0].collections[0]
     np.testing.assert_array_equal(mesh.get_array(), study.landscape("network", "initial").losses.T)
 

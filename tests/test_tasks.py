@@ -147,6 +147,34 @@ def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
         assert list(again.failures) == ["t"]
 
 
+def sleep_unless_last(task):
+    """Sleep, or end the run once the other one sleeps."""
+    path, last, interrupt = task
+    if not last:
+        path.write_text(str(os.getpid()))
+        time.sleep(600)
+    while not (path.exists() and path.read_text()):
+        time.sleep(0.02)
+    if interrupt:
+        os.kill(os.getppid(), signal.SIGINT)
+        time.sleep(600)
+    return "no mapping, so it cannot be kept"
+
+
+@pytest.mark.parametrize(("interrupt", "error"), [(False, InputError), (True, KeyboardInterrupt)])
+def test_when_a_run_ends_early_its_workers_do(tmp_path, interrupt, error):
+    tasks = {f"last {last}": (tmp_path / "pid", last, interrupt) for last in (False, True)}
+    with pytest.raises(error) as caught:  # which keeps the traceback, and all that is in it
+        run(sleep_unless_last, tasks, executor=processes(2), folder=tmp_path / "f", progress=False)
+    worker = int((tmp_path / "pid").read_text())
+    until = time.monotonic() + 30
+    with pytest.raises(ProcessLookupError):
+        while time.monotonic() < until:
+            os.kill(worker, 0)
+            time.sleep(0.02)
+    assert caught.tb is not None
+
+
 # ---- folder ---------------------------------------------------------------------
 
 

@@ -430,6 +430,16 @@ def test_a_checkpoint_of_another_run_is_refused(
     assert checkpoint.read_bytes() == whole
 
 
+def test_going_on_with_another_engine_is_told(
+    small_cases, toy_config, toy_engine, checkpoint, caplog
+):
+    Trainer(small_cases, toy_config, toy_engine, checkpoint).start(0)
+    assert caplog.text == ""
+    toy_engine.name = "other"
+    assert Trainer(small_cases, toy_config, toy_engine, checkpoint).start(0).finished > 0
+    assert "was written with the toy engine and continues with other" in caplog.text
+
+
 def test_a_damaged_checkpoint_is_refused_and_kept(small_cases, toy_config, toy_engine, checkpoint):
     whole = checkpoint.read_bytes()
     flipped = bytearray(whole)

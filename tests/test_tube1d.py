@@ -346,6 +346,7 @@ def with_value(array, index, value):
         ),
         (lambda: Tube1D(steps=150), r"not a multiple of n_times"),
         (lambda: Tube1D(steps=0), r"steps must be a whole number"),
+        (lambda: Tube1D(cycles=True), r"cycles must be a whole number"),
         (lambda: Tube1D(cycles=2.5), r"cycles must be a whole number"),
         (lambda: Tube1D(density=-1.0), r"density must be positive"),
         (lambda: Tube1D(viscosity=math.nan), r"viscosity must be positive"),

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
-from pcnde_bridge.waveform import DATA_FACTORS, PRINTED_FACTORS, Waveform, coronary
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.waveform import DATA_FACTORS, Waveform, coronary
 
 RNG = np.random.default_rng(4)
 
@@ -38,7 +38,7 @@ def test_both_forms_of_the_family():
     assert waveform.scaled(1.0) == waveform == waveform.scaled(1.0, "printed")
     np.testing.assert_allclose(waveform.scaled(0.0).flow(t), 1.0)
     assert [w.mean for w in waveform.family()] == [1.0] * len(DATA_FACTORS)
-    assert len(waveform.family(PRINTED_FACTORS, "printed")) == 8
+    assert waveform.family((2.0,), "printed") == (printed,)
 
 
 def test_uneven_samples_are_joined_linearly():
@@ -64,50 +64,6 @@ def test_coronary_is_positive_and_physiological():
     assert all(w.samples(1000).min() > 0 for w in waveform.family())
 
 
-def test_reynolds_and_womersley_numbers():
-    waveform = Waveform(1.0, (0.5,), (0.0,))
-    by_hand = 1.06 * 1.5 * 0.4 / (math.pi * 0.04 * 0.04)
-    assert waveform.reynolds(0.4) == pytest.approx(by_hand, rel=1e-12)
-    assert waveform.womersley(0.4) == pytest.approx(
-        0.2 * math.sqrt(2 * math.pi * 1.06 / 0.04), rel=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    "text", ["time,flow\n0,1\n0.25,2\n0.5,1\n0.75,0\n", "0,1\n0.25,2\n0.5,1\n0.75,0", "1\n2\n1\n0"]
-)
-def test_csv(tmp_path, text):
-    path = tmp_path / "wave.csv"
-    path.write_text(text)
-    waveform = Waveform.from_csv(path)
-    np.testing.assert_allclose(waveform.samples(4), [1, 2, 1, 0], atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "words"),
-    [
-        ("time,flow\n", FileError, "no numbers"),
-        ("", FileError, "no numbers"),
-        ("0,1\n0.5,x\n", FileError, "row 2"),
-        ("0,1,2\n", FileError, "row 1"),
-        ("0,1\n0.5\n", FileError, "columns"),
-        ("0,1\n0.5,nan\n0.7,1\n", InputError, r"flow\[1\] is nan"),
-        ("0,1\n0.5,2\n0.4,1\n", InputError, r"time\[2\]"),
-        ("0,1\n0.5,2\n1.4,1\n", InputError, "longer than the period"),
-    ],
-)
-def test_bad_csv(tmp_path, text, error, words):
-    path = tmp_path / "wave.csv"
-    path.write_text(text)
-    with pytest.raises(error, match=words):
-        Waveform.from_csv(path)
-
-
-def test_missing_csv(tmp_path):
-    with pytest.raises(DataNotFoundError, match=r"none\.csv"):
-        Waveform.from_csv(tmp_path / "none.csv")
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -120,6 +76,8 @@ def test_missing_csv(tmp_path):
         (lambda: Waveform.from_samples([[1.0, 2.0]]), r"one dimension"),
         (lambda: Waveform.from_samples(["a", "b", "c"]), r"numbers"),
         (lambda: Waveform.from_samples([1, 2, 3], [0, 1]), r"as many of both"),
+        (lambda: Waveform.from_samples([1, 2, 1], [0, 0.5, 0.4]), r"time\[2\]"),
+        (lambda: Waveform.from_samples([1, 2, 1], [0, 0.5, 1.4]), "longer than the period"),
         (lambda: Waveform.from_samples([1, 2, 3], period=-1), r"period must be positive"),
         (lambda: Waveform.from_samples([1, 2, 3], n_terms=-1), r"n_terms"),
         (lambda: coronary().scaled(math.nan), r"factor must be finite"),

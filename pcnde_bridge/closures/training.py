@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.checkpoints import Checkpoint
+from pcnde_bridge.checkpoints import Checkpoint, tell_of_other_engine
 from pcnde_bridge.closures import fit
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, parts
@@ -26,7 +26,7 @@ from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
-_KIND, _VERSION = "pcnde-closures-checkpoint", 1
+FORMAT, FORMAT_VERSION = "pcnde-closures-checkpoint", 1
 
 _STILL = 0.01
 """Ends whose area varies by less, relative to the middle's, are clamped."""
@@ -111,7 +111,7 @@ class ClosureTrainer:
         self._engine, self._closures = engine, engine.closures
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, _KIND, _VERSION)
+            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
         folds = config.correction.folds
         self._left_out = parts(cases, folds) if folds else []
 
@@ -240,6 +240,7 @@ class ClosureTrainer:
         self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
     ) -> ClosureState:
         try:
+            before = facts["provenance"]["engine"]
             history = tuple(histories.from_array(arrays["history"]))
             state = ClosureState(
                 facts["seed"], {name: arrays[name] for name in facts["vectors"]}, history
@@ -258,6 +259,7 @@ class ClosureTrainer:
                 raise InputError(
                     f"{path} belongs to a run {what}. Give the same, or another checkpoint file."
                 )
+        tell_of_other_engine(path, before, self._engine.name)
         return state
 
 

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Grid, Solution
@@ -31,10 +32,8 @@ from pcnde_bridge.errors import InputError
 
 Array = npt.NDArray[np.float64]
 
-VARIABLES = ("flow", "area", "pressure")
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _DRAWS = 12
-_NORMAL_90 = 1.6448536269514722
 _LEAST = 1e-12
 
 
@@ -178,7 +177,8 @@ def calibrated_factor(error: Array, width: Array) -> float:
     inside = width > _LEAST
     if not inside.any():
         return 0.0
-    return float(np.quantile(error[inside] / width[inside], 0.9)) / _NORMAL_90
+    normal = NormalDist().inv_cdf(0.95)  # 90 % lie within so many deviations
+    return float(np.quantile(error[inside] / width[inside], 0.9)) / normal
 
 
 def draw(

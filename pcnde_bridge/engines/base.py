@@ -276,6 +276,8 @@ class Stage(Protocol[InputsT]):
 class Engine(Protocol):
     """A computing engine: the five stages, and all of them in their order.
 
+    It can be pickled: another process starts its own.
+
     Attributes
     ----------
     name : str

@@ -44,6 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
     Fit,
     FlowInputs,
@@ -60,7 +61,7 @@ from pcnde_bridge.engines.base import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.engines.julia_closures import JuliaClosures
-from pcnde_bridge.errors import EngineError, EngineUnavailableError, SolveError
+from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import Parameters
 
@@ -156,7 +157,10 @@ def julia_status() -> JuliaStatus:
     try:
         return _status(_choice())
     except EngineUnavailableError as error:
-        return JuliaStatus(False, False, str(error), "environment", **_settings())
+        message = str(error)
+    except (OSError, ValueError) as error:  # files of a project that cannot be read
+        message = f"The Julia project cannot be read: {error}. {_prepare()}"
+    return JuliaStatus(False, False, message, "environment", **_settings())
 
 
 # --------------------------------------------------------------------- which Julia
@@ -572,7 +576,7 @@ def _warn_if_foreign(status: JuliaStatus) -> None:
             f"Julia was already started by another package with {status.threads} threads but "
             "without its signals, and may crash. Make the pcnde_bridge engine first, or set "
             f"{_SIGNALS}=yes.",
-            RuntimeWarning,
+            PCNDEWarning,
             stacklevel=5,
         )
 
@@ -712,6 +716,10 @@ class JuliaEngine:
         self.temporal_flow: JuliaStage[TemporalFlowInputs] = JuliaStage(
             self._julia, "temporal_flow"
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as a name: Julia's functions cannot."""
+        return select_engine, (self.name,)
 
     def predict(
         self,

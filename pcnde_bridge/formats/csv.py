@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import DataNotFoundError, InputError
-from pcnde_bridge.formats.results import FIELDS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.files import as_paths, check_file
+from pcnde_bridge.formats.results import CaseOptions, VesselResults, to_cases
 from pcnde_bridge.tables import read_frame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-COLUMNS = ("time", "z", *FIELDS, "area_undeformed")
+COLUMNS = ("time", "z", *VARIABLES, "area_undeformed")
 
 
 def read_csv(
@@ -52,13 +53,11 @@ def read_csv(
     InputError
         If columns or rows are missing, or units, flow or time steps are doubtful.
     """
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    return to_cases([vessel for path in given for vessel in _read(Path(path))], **options)
+    return to_cases([vessel for path in as_paths(paths) for vessel in _read(path)], **options)
 
 
 def _read(path: Path) -> list[VesselResults]:
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "a table")
     frame = read_frame(path)
     absent = [name for name in COLUMNS if name not in frame]
     if absent:

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
-from pcnde_bridge.formats.results import FIELDS, UNITS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.files import as_paths, check_file
+from pcnde_bridge.formats.results import UNITS, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.h5 import read_dataset
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-NAMES = (*FIELDS, "area_undeformed", "time", "z")
+NAMES = (*VARIABLES, "area_undeformed", "time", "z")
 
 
 def read_hdf5(
@@ -56,21 +57,17 @@ def read_hdf5(
     InputError
         If data sets are missing, or units, flow or time steps are doubtful.
     """
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if unknown := sorted(set(names or ()) - set(NAMES)):
         raise InputError(f"names has {unknown}; it can name {list(NAMES)}.")
     return to_cases(
-        [vessel for path in given for vessel in _read(Path(path), names or {})], **options
+        [vessel for path in as_paths(paths) for vessel in _read(path, names or {})], **options
     )
 
 
 def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
     import h5py
 
-    if path.is_dir():
-        raise FileError(f"{path} is a folder, not an HDF5 file.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "an HDF5 file")
     arrays: dict[str, npt.NDArray[Any]] = {}
     labels: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
@@ -87,8 +84,7 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
             for name in group if isinstance(group, h5py.Group) else ():
                 values = read_dataset(file, f"labels/{name}")
                 if values is not None:
-                    text = values.dtype.kind == "O"
-                    labels[name] = values.astype("S").astype(str) if text else values
+                    labels[name] = values
     except Exception as error:  # damaged bytes can make the reader raise nearly anything
         raise FileError(f"{path} is no HDF5 file, or damaged: {error}.") from error
     if absent := [name for name in NAMES if name not in arrays]:
@@ -121,11 +117,11 @@ def _vessels(
         if array.dtype.kind not in "iuf":
             raise InputError(f"{path}: {name} holds {array.dtype}, not numbers.")
     fields = {name: arrays[name].astype(np.float64) for name in NAMES}
-    for name, dimensions in (*((name, 2) for name in FIELDS), ("area_undeformed", 1)):
+    for name, dimensions in (*((name, 2) for name in VARIABLES), ("area_undeformed", 1)):
         if fields[name].ndim == dimensions:
             fields[name] = fields[name][np.newaxis]
     count = len(fields["flow"]) if fields["flow"].ndim == 3 else 0
-    for name in (*FIELDS, "area_undeformed"):
+    for name in (*VARIABLES, "area_undeformed"):
         if fields[name].ndim != (2 if name == "area_undeformed" else 3) or (
             len(fields[name]) != count
         ):

@@ -20,14 +20,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.tables import read_frame
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 Flip = Literal["flow", "z"]
-
-FIELDS = ("flow", "area", "pressure")
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "flow": {
@@ -167,8 +166,8 @@ def to_cases(
         raise InputError("There are no results to make a data set of: name at least one file.")
     if flip not in (None, "flow", "z"):
         raise InputError(f"flip must be 'flow' or 'z', got {flip!r}.")
-    if instants is not None and not _whole(instants, 4):
-        raise InputError(f"instants must be a whole number of at least 4, got {instants!r}.")
+    if instants is not None:
+        instants = whole("instants", instants, 4)
     stated = _stated(units)
     known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(stated)
     vessels = []
@@ -185,7 +184,7 @@ def to_cases(
         _check_grid(first, vessel)
     if labels is None and all(v.labels.keys() == first.labels.keys() for v in vessels):
         labels = _with_keys(pd.DataFrame([dict(v.labels) for v in vessels]))
-    stacked = {name: np.stack([getattr(v, name) for v in vessels]) for name in FIELDS}
+    stacked = {name: np.stack([getattr(v, name) for v in vessels]) for name in VARIABLES}
     return Cases(
         **stacked,
         area_undeformed=np.stack([vessel.area_undeformed for vessel in vessels]),
@@ -241,11 +240,6 @@ def _with_keys(labels: pd.DataFrame) -> pd.DataFrame:
     return labels
 
 
-def _whole(value: Any, least: int) -> bool:
-    good = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return good and value >= least
-
-
 # ---- what the arrays hold ------------------------------------------------
 
 
@@ -256,7 +250,7 @@ def _check(vessel: VesselResults) -> None:
             f"{vessel.name} has {n_times} instants and {n_points} points; at least 4 and 3 are "
             "needed."
         )
-    expected: dict[str, tuple[int, ...]] = dict.fromkeys(FIELDS, (n_times, n_points))
+    expected: dict[str, tuple[int, ...]] = dict.fromkeys(VARIABLES, (n_times, n_points))
     expected["area_undeformed"] = (n_points,)
     for name, shape in expected.items():
         array = getattr(vessel, name)
@@ -266,7 +260,7 @@ def _check(vessel: VesselResults) -> None:
                 f"{vessel.name}: {name} has the shape {array.shape}, but time and z make "
                 f"{shape}{swapped}."
             )
-    for name in (*FIELDS, "area_undeformed", "time", "z"):
+    for name in (*VARIABLES, "area_undeformed", "time", "z"):
         array = getattr(vessel, name)
         bad = ~np.isfinite(array)
         rule = "is not finite"
@@ -345,7 +339,7 @@ def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
         return dataclasses.replace(vessel, flow=-vessel.flow)
     if flip == "z":
         # The flow's sign is that of the file's own direction, which turns too.
-        arrays = {name: getattr(vessel, name)[:, ::-1] for name in FIELDS}
+        arrays = {name: getattr(vessel, name)[:, ::-1] for name in VARIABLES}
         arrays |= {"flow": -arrays["flow"], "area_undeformed": vessel.area_undeformed[::-1]}
         return _changed(vessel, arrays, z=vessel.z[0] + vessel.z[-1] - vessel.z[::-1])
     return vessel
@@ -470,7 +464,7 @@ def _one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     phase = np.mod(time[taken], cycle)
     phase[cycle - phase <= tolerance] = 0.0
     order = np.argsort(phase)
-    arrays = {name: getattr(vessel, name)[taken[order]] for name in FIELDS}
+    arrays = {name: getattr(vessel, name)[taken[order]] for name in VARIABLES}
     return _changed(vessel, arrays, time=phase[order], period=float(cycle))
 
 
@@ -478,7 +472,7 @@ def _meets(vessel: VesselResults, one: int, other: int, tolerance: float) -> boo
     """Whether two instants are alike, up to a part of each field's range."""
     return all(
         np.abs(field[one] - field[other]).max() <= tolerance * np.ptp(field)
-        for field in (getattr(vessel, name) for name in FIELDS)
+        for field in (getattr(vessel, name) for name in VARIABLES)
     )
 
 
@@ -498,7 +492,7 @@ def _on_instants(vessel: VesselResults, instants: int | None) -> VesselResults:
             f"{vessel.name}: its {time.size} instants are not equal steps of the period of "
             f"{period:g} s: pass instants= (--instants), such as 100, to resample."
         )
-    arrays = {name: _periodic(time, getattr(vessel, name), period, instants) for name in FIELDS}
+    arrays = {name: _periodic(time, getattr(vessel, name), period, instants) for name in VARIABLES}
     return _changed(vessel, arrays, time=time[0] + period / instants * np.arange(instants))
 
 
@@ -521,9 +515,8 @@ def _on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Ves
     if points is None:
         return vessel
     if np.ndim(points) == 0:
-        if not _whole(points, 3):
-            raise InputError(f"points must be a whole number of at least 3, got {points!r}.")
-        z = np.linspace(vessel.z[0], vessel.z[-1], np.asarray(points).item())
+        count = whole("points", points, 3)
+        z = np.linspace(vessel.z[0], vessel.z[-1], count)
     else:
         z = np.asarray(points, dtype=np.float64)
         slack = _SAME_LENGTH * np.ptp(vessel.z)
@@ -533,7 +526,7 @@ def _on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Ves
                 "points asked for must be a row of numbers inside."
             )
     along = _interpolator(vessel.z, np.clip(z, vessel.z[0], vessel.z[-1]))
-    changed = {name: along(getattr(vessel, name)) for name in (*FIELDS, "area_undeformed")}
+    changed = {name: along(getattr(vessel, name)) for name in (*VARIABLES, "area_undeformed")}
     return _changed(vessel, changed, z=z)
 
 

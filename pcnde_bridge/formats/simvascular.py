@@ -23,7 +23,7 @@ import numpy.typing as npt
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.extras import require
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import as_paths, atomic_write, make_folder
 from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.formats.vtp import read_lines
 
@@ -77,9 +77,8 @@ def read_simvascular(
     InputError
         If arrays are missing, or units, flow or time steps are doubtful.
     """
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     return to_cases(
-        [_read_vessel(Path(path), time_step, branch, rigid) for path in given], **options
+        [_read_vessel(path, time_step, branch, rigid) for path in as_paths(paths)], **options
     )
 
 
@@ -301,10 +300,7 @@ def write_pvd(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
         for case, step, name in steps
     ]
     with atomic_write(target) as temporary:
-        try:
-            folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise FileError(f"cannot make the folder {str(folder)!r}: {error}") from error
+        make_folder(folder)
         for (_, _, name), content in zip(steps, contents, strict=True):
             with atomic_write(name) as part:
                 part.write_bytes(content)
@@ -356,7 +352,8 @@ def _polydata(prediction: Prediction, case: int, step: int | None) -> bytes:
             array = core.vtkStringArray()
             array.InsertNextValue(value)
         else:
-            array = to_vtk(np.array([value]), deep=True)
+            number = int(value) if isinstance(value, bool | np.bool_) else value  # VTK has no bool
+            array = to_vtk(np.array([number]), deep=True)
         array.SetName(name)
         data.GetFieldData().AddArray(array)
     writer = io.vtkXMLPolyDataWriter()

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
-from pcnde_bridge.formats.results import FIELDS, Array, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.files import as_paths, check_file
+from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -76,20 +77,19 @@ def read_sv1d(
             "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
             "(--period), in s, and their last cycle is taken."
         )
-    given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    return to_cases([_read_vessel(Path(path), segments) for path in given], **options)
+    return to_cases([_read_vessel(path, segments) for path in as_paths(paths)], **options)
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
     model, known, step = _read_input(path)
     chain = _chain(path, known, wanted)
-    parts: dict[str, list[Array]] = {name: [] for name in (*FIELDS, "undeformed", "z")}
+    parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "undeformed", "z")}
     start = 0.0
     for number, segment in enumerate(chain):
         # The first node of a segment is the last of the one before.
         own = slice(0 if number == 0 else 1, None)
         nodes = segment.elements + 1
-        for name in FIELDS:
+        for name in VARIABLES:
             file = path.parent / f"{model}{segment.name}_{name}.dat"
             table = _read_table(file, nodes)
             if parts[name] and table.shape[1] != parts[name][0].shape[1]:
@@ -116,10 +116,7 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
 
 def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
     """Return the model's name, its segments, and the time between saved steps."""
-    if path.is_dir():
-        raise FileError(f"{path} is a folder; give the solver's input file (.in) in it.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "the solver's input file (.in)")
     model, step = None, None
     segments: dict[str, _Segment] = {}
     try:

@@ -20,8 +20,8 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.errors import DataNotFoundError, FileError
-from pcnde_bridge.files import check_claim
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.files import check_claim, check_file
 
 _TYPES = {f"{kind}{bits}": f"{kind[0].lower()}{bits // 8}" for kind, bits in (
     ("Float", 32), ("Float", 64), *((k, b) for k in ("Int", "UInt") for b in (8, 16, 32, 64)),
@@ -64,10 +64,7 @@ def read_lines(path: Path) -> Lines:
     FileError
         If it is truncated or damaged, or something else.
     """
-    if path.is_dir():
-        raise FileError(f"{path} is a folder, not a .vtp file.")
-    if not path.is_file():
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    check_file(path, "a .vtp file")
     try:
         content = path.read_bytes()
     except OSError as error:

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import OTHER, PREDICTED, TRUTH
+from pcnde_bridge.plots.style import (
+    OTHER,
+    PREDICTED,
+    SPACE,
+    TIME,
+    TRUTH,
+    label,
+    new_figure,
+    place,
+    plain,
+)
 from pcnde_bridge.studies.formulations import FormulationStudy
 from pcnde_bridge.studies.landscapes import LandscapeStudy, Moment
 
@@ -19,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLES = {
-    "3D": (TRUTH, "o", "3D, averaged"),
+    "3D": (TRUTH, "o", ""),  # the caller names it
     "spatial": (PREDICTED, "-", "in space, $f(Q, S)$"),
     "temporal": (OTHER, "-", "in time, $f(Q)$"),
     "temporal_with_time": ("#CC79A7", "--", "in time, $f(Q, t)$"),
@@ -39,7 +49,12 @@ _MOMENTS: dict[Moment, str] = {
 
 
 def smoothness(
-    study: FormulationStudy, part: str = "train", case: int = 0, position: float = 0.9
+    study: FormulationStudy,
+    part: str = "train",
+    case: int = 0,
+    position: float = 0.9,
+    *,
+    truth_label: str = "3D, averaged",
 ) -> Figure:
     """Plot flow, its slope and the area from continuity, in space and in time.
 
@@ -53,6 +68,8 @@ def smoothness(
         Which of them.
     position : float
         Where the lower row is taken, as a part of the vessel's length.
+    truth_label : str
+        What the cases are.
 
     Returns
     -------
@@ -62,35 +79,32 @@ def smoothness(
     Raises
     ------
     InputError
-        If there is no such case.
+        If there is no such case, or the position is not in the vessel.
     """
-    from matplotlib.figure import Figure
-
     if part not in study.cases or not -len(study.cases[part]) <= case < len(study.cases[part]):
         raise InputError(f"The study has no case {case} of the set {part!r}.")
     cases = study.cases[part]
-    z_index = int(np.abs(cases.z - cases.z[0] - position * (cases.z[-1] - cases.z[0])).argmin())
+    z_index = place(cases, position)
     t_index = int(cases.inflow[case].argmax())
-    figure = Figure(figsize=(10, 5.4), layout="constrained")
-    axes = figure.subplots(2, 3)
+    figure, axes = new_figure(10, 5.4, 2, 3)
     names = [name for name, which in study.results if which == part]
     for name in names:
         found = study.results[name, part]
-        colour, style, label = _STYLES[name]
+        colour, style, words = _STYLES[name]
         # The truth of the area is the data's, not what continuity makes of the true flow.
         area = cases.area if name == "3D" else found.continuity_area
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
-            over: dict[str, Any] = {"color": colour, "label": label, "lw": 1.5}
+            over: dict[str, Any] = {"color": colour, "label": words or truth_label, "lw": 1.5}
             over |= {"ms": 2.5, "mfc": "none", "mew": 0.6} if name == "3D" else {}
             axes[0, column].plot(cases.z, values[case, t_index], style, **over)
             axes[1, column].plot(cases.time, values[case, :, z_index], style, **over)
-    labels = ("flow Q (mL/s)", "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)")
-    for column, label in enumerate(labels):
-        axes[0, column].set_title(label, fontsize=10)
-        axes[0, column].set_xlabel("position z (cm)")
-        axes[1, column].set_xlabel("time t (s)")
+    titles = (label("flow"), "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)")
+    for column, title in enumerate(titles):
+        axes[0, column].set_title(title, fontsize=10)
+        axes[0, column].set_xlabel(SPACE)
+        axes[1, column].set_xlabel(TIME)
     for axis in axes.ravel():
-        axis.grid(alpha=0.3)
+        plain(axis)
     axes[0, 0].set_ylabel(f"t = {cases.time[t_index]:.2f} s")
     axes[1, 0].set_ylabel(f"z = {cases.z[z_index]:.1f} cm")
     handles, texts = axes[0, 0].get_legend_handles_labels()
@@ -112,11 +126,9 @@ def landscapes(study: LandscapeStudy) -> Figure:
         A column for each right-hand side; each panel has its own, logarithmic scale of
         colours, grey is where the equation diverges, and the cross is the trained network.
     """
-    from matplotlib.figure import Figure
-
     names = list(study.outcomes)
-    figure = Figure(figsize=(2.9 * len(names) + 0.4, 5.6), layout="constrained")
-    axes = figure.subplots(len(_MOMENTS), len(names), squeeze=False, sharex=True, sharey=True)
+    width = 2.9 * len(names) + 0.4
+    figure, axes = new_figure(width, 5.6, len(_MOMENTS), len(names), sharex=True, sharey=True)
     for (moment, when), row in zip(_MOMENTS.items(), axes, strict=True):
         for name, axis in zip(names, row, strict=True):
             _panel(figure, axis, study, name, moment)

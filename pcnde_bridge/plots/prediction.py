@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import AREA_MARGIN, VARIABLES
+from pcnde_bridge.metrics import AREA_MARGIN
 from pcnde_bridge.plots.style import (
     PREDICTED,
     TRUTH,

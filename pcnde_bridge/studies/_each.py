@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
-from pcnde_bridge.engines import Engine, EngineName
 from pcnde_bridge.tasks import Workers, run
 
 Result = TypeVar("Result")
@@ -40,12 +39,3 @@ def each(
 def _call(call: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
     function, arguments = call
     return function(*arguments)
-
-
-def portable(engine: Engine, executor: Workers | None) -> Engine | EngineName:
-    """Return the engine, or for the tasks of an executor its name.
-
-    An engine holds compiled functions, which cannot go to another process; each
-    process starts one of its own by the name.
-    """
-    return engine if executor is None else cast(EngineName, engine.name)

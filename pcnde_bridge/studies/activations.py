@@ -15,15 +15,15 @@ import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import Activation, PCNDEConfig
-from pcnde_bridge.engines import Engine, EngineName, select_engine
-from pcnde_bridge.engines.base import Grid
+from pcnde_bridge.engines.base import Engine, Grid
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
-from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
 from pcnde_bridge.training import Trainer, TrainingState, plan
+from pcnde_bridge.validation import whole_seeds
 
 Array = npt.NDArray[np.float64]
 
@@ -56,7 +56,8 @@ def activation_study(
     seeds : sequence of int
         Of the pressure network's first weights; all activations are fitted with each.
     executor : Executor, or callable that makes one, optional
-        Who runs the fits; None runs them here.  The result is the same.
+        Who runs the fits; None runs them here.  The same bits come of
+        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
     progress : bool
         Show progress on standard error.
 
@@ -71,7 +72,8 @@ def activation_study(
     Raises
     ------
     InputError
-        If the model has no pressure network, or an argument is not usable.
+        If the model has no pressure network, cases are not on its grid, or an argument is
+        not usable.
     """
     config = model.config
     if not isinstance(config, PCNDEConfig) or not isinstance(model.parameters, Parameters):
@@ -80,16 +82,19 @@ def activation_study(
             "changed. Give a model of the preset paper or fast."
         )
     unknown = [name for name in activations if name not in get_args(Activation)]
-    if unknown or not activations or not seeds:
+    if unknown or not activations or len(set(activations)) < len(activations):
         raise InputError(
-            f"Give at least one seed and activations of {list(get_args(Activation))}, got "
-            f"{list(activations)} and the seeds {list(seeds)}."
+            f"Give at least one activation of {list(get_args(Activation))}, and none twice; got "
+            f"{list(activations)}."
         )
-    engine = portable(model.engine, executor)
-    pairs = [(activation, int(seed)) for activation in activations for seed in seeds]
+    seeds = whole_seeds(seeds)
+    for cases in (train, test):
+        if cases is not None:
+            model.check_grid(cases)
+    pairs = [(activation, seed) for activation in activations for seed in seeds]
     tasks = {
         f"{name}, seed {seed}": (
-            engine,
+            model.engine,
             config.replace(temporal_pressure={"activation": name}),
             model.parameters,
             seed,
@@ -119,7 +124,7 @@ def fit_pressure(
 
 
 def _fit_and_measure(
-    engine: Engine | EngineName,
+    engine: Engine,
     config: PCNDEConfig,
     parameters: Parameters,
     seed: int,
@@ -127,14 +132,13 @@ def _fit_and_measure(
     test: Cases | None,
 ) -> dict[str, Any]:
     """Errors of the pressure with one activation."""
-    computing = select_engine(engine)
-    fitted = fit_pressure(computing, config, parameters, seed, train)
+    fitted = fit_pressure(engine, config, parameters, seed, train)
     row = {}
     for name, cases in (("train", train), ("test", test)):
         if cases is None:
             continue
         grid = Grid(cases.time, cases.z, cases.period)
-        solved = computing.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
+        solved = engine.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
         assert solved.pressure is not None
         row[name] = relative_error(solved.pressure, cases.pressure)
         row[f"{name}_explained"] = explained_variation(solved.pressure, cases.pressure)

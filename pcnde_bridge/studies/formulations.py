@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -35,9 +34,11 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.history import Iteration, Recorder
 from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.metrics import compared, relative_error
+from pcnde_bridge.model import check_grid
 from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
-from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.progress import listening
 from pcnde_bridge.training import TrainingState
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
@@ -174,26 +175,29 @@ def compare_formulations(
     Raises
     ------
     InputError
-        If there is no such formulation.
+        If an argument is not usable, or the test cases are not on the training cases' grid.
     """
     unknown = set(formulations) - set(FORMULATIONS)
     if unknown:
         raise InputError(f"Unknown formulations {sorted(unknown)}; choose from {FORMULATIONS}.")
+    if not formulations:
+        raise InputError(f"Give at least one formulation of {FORMULATIONS}.")
+    seed = whole("seed", seed)
+    if test is not None:
+        check_grid(Grid(train.time, train.z, train.period), test, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
     batches = TrainingState.start(train, config.replace(training="batches"), seed).batches
     stages = {name: _Trained(name, train, config, chosen, seed) for name in formulations}
     total = len(batches) * sum(s.epochs * s.iterations for s in stages.values())
-    bar = TrainingProgress(total) if progress is True else None
-    listener = bar if bar is not None else (progress if callable(progress) else None)
 
     outcomes: dict[str, str] = {}
     frames = []
     # What the true flow gives: the equations' own errors.
     results = _results("3D", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
-    with bar if bar is not None else nullcontext():
+    with listening(progress, total) as on_record:
         for name, stage in stages.items():
-            recorder = Recorder(time.perf_counter(), listener)
+            recorder = Recorder(time.perf_counter(), on_record)
             outcomes[name] = stage.fit(batches, recorder)
             frames.append(histories.to_frame(recorder.iterations).assign(formulation=name))
             try:

@@ -12,7 +12,6 @@ coupled back for the first time.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -29,7 +28,7 @@ from pcnde_bridge.engines.base import Engine, FlowInputs, Grid
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import compared, relative_error
-from pcnde_bridge.progress import TrainingProgress
+from pcnde_bridge.progress import listening
 from pcnde_bridge.training import Trainer, TrainingState, plan
 
 Array = npt.NDArray[np.float64]
@@ -294,16 +293,14 @@ def explore_landscapes(
     first_coupling = units.index("coupling") + 1
     all_of_flow = units.index("temporal_pressure")
     iterations = len(start.batches) * config.flow.epochs * config.flow.iterations
-    bar = TrainingProgress(iterations * len(right_hand_sides)) if progress is True else None
-    listener = bar if bar is not None else (progress if callable(progress) else None)
 
     landscapes: list[Landscape] = []
     outcomes: dict[str, str] = {}
     frames: list[pd.DataFrame] = []
-    with bar if bar is not None else nullcontext():
+    with listening(progress, iterations * len(right_hand_sides)) as on_record:
         for name, terms in right_hand_sides.items():
             settings = config.replace(flow={"terms": terms})
-            records = _Records(listener)
+            records = _Records(on_record)
             trainer = Trainer(cases, settings, chosen, on_record=records)
             draw = partial(
                 _draw,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,27 +16,18 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge import recipes
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.engines import Engine, EngineName, select_engine
-from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.base import Engine, Grid, Solution
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import VARIABLES
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
-from pcnde_bridge.studies._each import each, portable
+from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
-
-PAPER_SPREAD: Mapping[str, Mapping[str, float]] = MappingProxyType(
-    {
-        "inflow": {"flow": 0.052, "area": 0.014, "pressure": 0.058},
-        "area_undeformed": {"flow": 0.00014, "area": 0.05, "pressure": 0.033},
-    }
-)
-"""The paper's :meth:`NoiseStudy.spread`: level 0.05, 90 draws, hardest case."""
 
 _BLOCK = 32  # at most so many rows are predicted at once
 
@@ -120,7 +110,8 @@ def noise_study(
     seed : int
         Of the noise.
     executor : Executor, or callable that makes one, optional
-        Who predicts the draws; None predicts them here.  The result is the same.
+        Who predicts the draws; None predicts them here.  The same bits come of
+        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
 
     Returns
     -------
@@ -143,8 +134,7 @@ def noise_study(
         raise InputError(f"noisy must be one of {list(get_args(NoisyInput))}, got {noisy!r}.")
     if not (np.isfinite(level) and level >= 0):
         raise InputError(f"level must be a number ≥ 0, got {level!r}.")
-    if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 2:
-        raise InputError(f"draws must be a whole number ≥ 2, got {draws!r}.")
+    draws, seed = whole("draws", draws, 2), whole("seed", seed)
     model.check_grid(case)
     # Blocks of one size, as engines compile for each size.  What the draws leave of them
     # is filled with the exact input, of which one is needed anyway.
@@ -153,7 +143,7 @@ def noise_study(
     exact = count * size - draws
     inflow, area_undeformed = noisy_inputs(case, noisy, level, draws, seed, exact)
     blocks = [slice(i, i + size) for i in range(0, count * size, size)]
-    trained = (portable(model.engine, executor), model.config, model.parameters)
+    trained = (model.engine, model.config, model.parameters)
     grid = Grid(case.time, case.z, case.period)
     tasks = {
         f"draws from {block.start}": (*trained, inflow[block], area_undeformed[block], grid)
@@ -168,7 +158,7 @@ def noise_study(
     return NoiseStudy(
         noisy,
         float(level),
-        int(draws),
+        draws,
         case,
         {name: values[0] for name, values in drawn.items()},
         {name: values[exact:].mean(axis=0) for name, values in drawn.items()},
@@ -200,7 +190,7 @@ def noisy_inputs(
 
 
 def _predict(
-    engine: Engine | EngineName,
+    engine: Engine,
     config: recipes.Config,
     parameters: Parameters | ClosureParameters,
     inflow: Array,
@@ -208,4 +198,4 @@ def _predict(
     grid: Grid,
 ) -> Solution:
     """Flow, area and pressure of some draws."""
-    return recipes.predict(select_engine(engine), config, parameters, inflow, area_undeformed, grid)
+    return recipes.predict(engine, config, parameters, inflow, area_undeformed, grid)

@@ -3,10 +3,8 @@
 # fixed, so that the gradient is that of the number which the line search sees, not of
 # the exact solution. At the paper's tolerances the two differ by 5e-4.
 #
-# Chosen by measurement (`benchmark/adjoints.jl`; one batch of 12 cases, 100 instants and
-# 101 points, one thread of a shared 2-core machine): loss alone 0.45 ms; this gradient,
-# loss included, 1.2 ms; with SciMLSensitivity 7.112 and Zygote's VJP the interpolating
-# adjoint 850 ms, Gauss adjoint 1610 ms, quadrature adjoint 2870 ms.
+# Chosen by measurement (`benchmark/adjoints.jl`; the numbers are in CONTRIBUTING.md): the
+# suite's continuous adjoints take a hundred times as long and more.
 
 function make_room!(room::FlowGradientRoom, hidden::Vector{Int}, columns::Int)
     size(room.inputs, 2) >= columns && return room

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import version
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
     Array,
     FlowInputs,
@@ -112,6 +114,10 @@ class JaxEngine:
         self.temporal_flow: JaxStage[TemporalFlowInputs] = JaxStage(
             _temporal_flow, ("temporal_flow",)
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process as a name: compiled functions cannot."""
+        return select_engine, (self.name,)
 
     def predict(
         self,
