@@ -133,10 +133,12 @@ class JaxClosures:
 
         Many waveforms usually share few vessels, and one call's are often the next one's.
         """
-        place: dict[bytes, int] = {}
-        which = np.array([place.setdefault(s.tobytes(), len(place)) for s in area_undeformed])
-        _, first = np.unique(which, return_index=True)
-        different = np.ascontiguousarray(area_undeformed[first])
+        names = [s.tobytes() for s in area_undeformed]
+        first = {name: case for case, name in enumerate(names)}
+        # In an order that is not the cases', so that a set of vessels is known again.
+        place = {name: row for row, name in enumerate(sorted(first))}
+        which = np.array([place[name] for name in names])
+        different = area_undeformed[[first[name] for name in place]]
         key = (different, grid.z, parameters.wall, parameters.losses)
         known = self._vessels
         if known is not None and all(map(np.array_equal, known[0], key)):
