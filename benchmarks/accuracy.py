@@ -56,6 +56,7 @@ def fit_and_measure(data: str, how: str, preset: str, engine: str, seed: int) ->
     result: dict[str, Any] = {
         "split": how,
         "preset": preset,
+        "asked": engine,
         "engine": model.engine.name,
         "seed": seed,
         "seconds": seconds,
@@ -124,7 +125,8 @@ def main() -> None:
                 with ProcessPoolExecutor(1, mp_context=spawn) as pool:
                     args = options.data, how, preset, engine, seed
                     results.append(pool.submit(fit_and_measure, *args).result())
-            mine = [r for r in results if (r["split"], r["preset"]) == (how, preset)]
+            key = (how, preset, engine)
+            mine = [r for r in results if (r["split"], r["preset"], r["asked"]) == key]
             print(f"{how}: {preset} ({engine}), {len(mine)} seeds, median (worst)")
             for name, (median, worst) in summary(mine).items():
                 print(f"  {name:18} {median:.5g} ({worst:.5g})", flush=True)
