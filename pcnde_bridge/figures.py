@@ -267,9 +267,10 @@ def _smoothness(material: Material) -> Drawn:
 
 
 def _landscapes(material: Material) -> Drawn:
-    study = studies.explore_landscapes(
-        material.train, config=_recipe(material), engine=material.model.engine
-    )
+    recipe = _recipe(material)
+    # The figure needs no more than the first coupling.
+    recipe = recipe.replace(flow={"epochs": recipe.flow.couple_every})
+    study = studies.explore_landscapes(material.train, config=recipe, engine=material.model.engine)
     return Drawn(plots.landscapes(study), study.to_frame())
 
 

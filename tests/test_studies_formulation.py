@@ -157,10 +157,6 @@ def test_directions_are_those_of_the_seed(engine, small_cases):
 
 
 def test_study_draws_each_equation_twice(study, small_cases):
-    assert [(each.right_hand_side, each.moment) for each in study.landscapes][:2] == [
-        ("network", "initial"),
-        ("network", "coupled"),
-    ]
     assert study.outcomes["network"] == "trained"
     initial = study.landscape("network", "initial")
     # After the first batch's iterations.
@@ -168,9 +164,16 @@ def test_study_draws_each_equation_twice(study, small_cases):
         "right_hand_side == 'network' and stage == 'flow' and epoch == 1 and batch == 1"
     )
     assert initial.centre == pytest.approx(first_batch["loss"].iloc[-1], rel=1e-9)
+    # Two of each equation; no second where the training did not come so far.
+    drawn = [(each.right_hand_side, each.moment) for each in study.landscapes]
+    assert len(set(drawn)) == len(drawn)
+    for name, outcome in study.outcomes.items():
+        assert (name, "initial") in drawn
+        assert (name, "coupled") in drawn or outcome != "trained"
     frame = study.to_frame()
-    assert len(frame) == 25 * len(study.landscapes)
-    assert (frame.query("amplitude_1 == 0 and amplitude_2 == 0").groupby("moment").size() > 0).all()
+    centres = frame.query("amplitude_1 == 0 and amplitude_2 == 0")
+    assert list(zip(centres["right_hand_side"], centres["moment"], strict=True)) == drawn
+    assert len(frame) == 25 * len(drawn)
     np.testing.assert_array_equal(frame["loss"][:25], initial.losses.ravel())
     # The network saw S_u before the coupling, and another area after it.
     inside = np.s_[:, :, 5:-5]
@@ -217,7 +220,13 @@ def test_minima_and_roughness():
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [({"points": 4}, "odd"), ({"amplitude": 0.0}, "positive"), ({"config": FAST}, "batches")],
+    [
+        ({"points": 4}, "odd"),
+        ({"amplitude": 0.0}, "positive"),
+        ({"config": FAST}, "batches"),
+        ({"right_hand_sides": {}}, "at least one"),
+        ({"seed": -1}, "whole number"),
+    ],
 )
 def test_what_cannot_be_drawn_is_said(small_cases, changes, words):
     with pytest.raises(InputError, match=words):

@@ -30,6 +30,7 @@ from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import compared, relative_error
 from pcnde_bridge.progress import listening
 from pcnde_bridge.training import Trainer, TrainingState, plan
+from pcnde_bridge.validation import whole
 
 Array = npt.NDArray[np.float64]
 Moment = Literal["initial", "coupled"]
@@ -287,6 +288,9 @@ def explore_landscapes(
     amplitudes(amplitude, points)
     if config.training != "batches":
         raise InputError("The landscapes are those of training='batches'; change the config.")
+    if not right_hand_sides:
+        raise InputError("right_hand_sides is empty: name at least one, such as 'network': ().")
+    whole("seed", seed)
     chosen = select_engine(engine)
     start = TrainingState.start(cases, config, seed)
     units = [unit.work for unit in plan(config, len(start.batches))]
@@ -311,13 +315,13 @@ def explore_landscapes(
                 config=settings,
                 grid={"amplitude": amplitude, "points": points, "seed": seed},
             )
-            state = start
             try:
                 try:
                     state = trainer.run(start, until=1)
-                finally:
-                    # Of the first parameters, where the first fit cannot start.
-                    landscapes.append(draw("initial", state))
+                except SolveError:  # the first fit cannot start
+                    landscapes.append(draw("initial", start))
+                    raise
+                landscapes.append(draw("initial", state))
                 state = trainer.run(state, until=first_coupling)
                 landscapes.append(draw("coupled", state))
                 trainer.run(state, until=all_of_flow)
