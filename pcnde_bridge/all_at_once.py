@@ -3,7 +3,7 @@
 The equations, the parameters and their layout are the paper's, so that the result is a
 model like any other.  Only the way to the minimum differs:
 
-- the flow network by L-BFGS without restarts, in whitened weights;
+- the flow network by L-BFGS without restarts, in whitened weights, the best of a few starts;
 - (â, b̂) and (a, b) by least squares, point by point;
 - the pressure network's last layer by least squares inside the L-BFGS fit of the
   layers before it (variable projection, Golub and Pereyra 1973);
@@ -14,7 +14,7 @@ The engine computes the flow and runs L-BFGS; everything else is small enough fo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,33 +84,35 @@ def parts(cases: Cases, settings: AllAtOnce, seed: int) -> tuple[Positions, ...]
 
 
 def fit_flow(
-    vector: Array,
+    starts: Sequence[Array],
     cases: Cases,
     area: Array,
     selection: tuple[Positions, ...],
     engine: Engine,
     config: PCNDEConfig,
     iterations: int,
-    on_iteration: OnIteration | None = None,
+    record: Callable[[int], OnIteration | None] = lambda _: None,
 ) -> Array:
-    """Fit the flow network.
+    """Fit the flow network, from each start anew, and return the best.
 
     Parameters
     ----------
-    vector : array of shape (size,)
-        Its parameters before.
+    starts : sequence of arrays of shape (size,)
+        Its parameters before, one or more.
     cases : Cases
         All training cases.
     area : array of shape (case, time, z)
         S that the network sees, cm².
     selection : tuple of arrays of int
-        Cases to fit, and, if given, cases whose error ends the fit.
+        Cases to fit, and, if given, cases whose error ends the fit; the best has the
+        least error on the last of these.
     engine, config
         Who computes the flow, and the settings.
     iterations : int
-        At most so many.
-    on_iteration : callable, optional
-        Called with the number and loss of each iteration.
+        At most so many from each start.
+    record : callable
+        Given the number of a start, from 1 on, returns what is called with the number
+        and loss of each of its iterations.
 
     Returns
     -------
@@ -142,18 +144,24 @@ def fit_flow(
     unit = float(np.mean(cases.flow[fitted] ** 2))
     if config.flow.loss == "sum":
         unit *= cases.flow[fitted].size
-    return whitening.parameters(
+    validate = validation_error if len(selection) > 1 else None
+    ends = [
         minimise(
             objective,
             whitening.coordinates(vector),
             settings,
             iterations,
             unit,
-            validation_error if len(selection) > 1 else None,
-            on_iteration,
+            validate,
+            record(number),
             lbfgs=engine.lbfgs,
         )
-    )
+        for number, vector in enumerate(starts, 1)
+    ]
+    if len(ends) > 1:
+        errors = [objective(end)[0] if validate is None else validate(end) for end in ends]
+        ends = [ends[int(np.argmin(errors))]]
+    return whitening.parameters(ends[0])
 
 
 def fit_intermediate_area(

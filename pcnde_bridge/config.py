@@ -393,8 +393,11 @@ class AllAtOnce(_Section):
         Fits of the flow, each followed by a fit of the area, which is then coupled back.
         With a validation part, the first fits the networks to the other cases alone and
         stops by the validation part's error; the others go on from there on all cases.
+    starts : int
+        Fits of the flow in the first round, each from other random weights: the one of
+        the least loss (or validation error, if there is a validation part) goes on.
     iterations, later_iterations : int
-        L-BFGS iterations of the flow in the first round, and in each later one.
+        L-BFGS iterations of the flow in each of these, and in each later round.
     pressure_iterations : int
         L-BFGS iterations of each of the pressure fits.
     memory : int
@@ -414,6 +417,7 @@ class AllAtOnce(_Section):
     """
 
     rounds: int = _positive(3)
+    starts: int = _positive(1)
     iterations: int = _positive(120)
     later_iterations: int = _positive(40)
     pressure_iterations: int = _positive(100)
@@ -607,7 +611,7 @@ PUBLISHED_CODE = PAPER.replace(
 )
 """What the authors' published code and weights do, where it differs from the text."""
 
-FAST = PAPER.replace(training="all_at_once", flow={"steps": 12})
+FAST = PAPER.replace(training="all_at_once", flow={"steps": 12}, all_at_once={"starts": 3})
 """The paper's equations and parameters, trained all at once, in seconds.
 
 Twelve equal steps solve the momentum equation as exactly as the adaptive ones do."""

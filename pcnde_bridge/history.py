@@ -25,7 +25,8 @@ class Iteration(NamedTuple):
     stage : str
         One of the paper's five stages, or a closure of the ``physics`` preset.
     epoch, batch, iteration : int
-        Counted from 1; the pressure stages have epoch and batch 1.
+        Counted from 1; the pressure stages have epoch and batch 1.  Of preset ``fast``
+        the epoch is the round, and in its first the batch the start.
     loss : float
         After the iteration: mL²/s² for flow (in the mean), cm⁴ for area,
         p_ref² for pressure.

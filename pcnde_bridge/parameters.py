@@ -150,7 +150,9 @@ class Parameters:
                 )
 
 
-def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: int) -> Parameters:
+def initial_parameters(
+    config: PCNDEConfig, n_times: int, n_points: int, seed: int, start: int = 0
+) -> Parameters:
     """Parameters before training.
 
     Networks start Glorot-uniform with zero bias; â = a = 1 and b̂ = b = 0, which
@@ -165,15 +167,17 @@ def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: i
         Instants per cycle and points along the vessel.
     seed : int
         Of the networks' weights; each stage has a stream of its own.
+    start : int
+        Other weights of the same seed.
     """
     correction = np.concatenate([np.ones(n_points), np.zeros(n_points)])
     return Parameters(
-        flow=_glorot(layer_sizes("flow", config, n_times, n_points), _stream(seed, "flow")),
+        flow=_glorot(layer_sizes("flow", config, n_times, n_points), _stream(seed, "flow", start)),
         intermediate_area=correction,
         fourier_area=correction,
         temporal_pressure=_glorot(
             layer_sizes("temporal_pressure", config, n_times, n_points),
-            _stream(seed, "temporal_pressure"),
+            _stream(seed, "temporal_pressure", start),
         ),
         spatial_pressure=np.concatenate([np.zeros(2 + n_times), np.ones(n_times)]),
     )
@@ -190,8 +194,8 @@ def initial_temporal_flow(config: PCNDEConfig, n_points: int, seed: int) -> Arra
     return _glorot(layer_sizes("temporal_flow", config, 0, n_points), rng)
 
 
-def _stream(seed: int, stage: str) -> np.random.Generator:
-    return np.random.default_rng([seed, STAGES.index(stage)])
+def _stream(seed: int, stage: str, start: int) -> np.random.Generator:
+    return np.random.default_rng([seed, STAGES.index(stage), start])
 
 
 def _glorot(widths: Sequence[int], rng: np.random.Generator) -> Array:

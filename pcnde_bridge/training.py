@@ -121,7 +121,8 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all stages, if no fit ends early."""
     if config.training == "all_at_once":
         fast = config.all_at_once
-        flow_iterations = fast.iterations + (fast.rounds - 1) * fast.later_iterations
+        flow_iterations = fast.starts * fast.iterations
+        flow_iterations += (fast.rounds - 1) * fast.later_iterations
         return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
     flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every
     area = config.intermediate_area.iterations + config.fourier_area.iterations
@@ -276,15 +277,18 @@ class Trainer:
     ) -> Parameters:
         if self._config.training == "all_at_once":
             settings, first = self._config.all_at_once, unit.epoch == 1
+            starts = [state.parameters.flow]
+            if first:
+                starts += self._other_starts(state.seed)
             vector = all_at_once.fit_flow(
-                state.parameters.flow,
+                starts,
                 self._cases,
                 area,
                 self._selection(state, unit),
                 self._engine,
                 self._config,
                 settings.iterations if first else settings.later_iterations,
-                record("flow", unit.epoch, 1),
+                lambda number: record("flow", unit.epoch, number),
             )
             return state.parameters.replace(flow=vector)
         batch = state.batches[unit.batch - 1]
@@ -298,6 +302,14 @@ class Trainer:
             record("flow", unit.epoch, unit.batch),
         )
         return state.parameters.replace(flow=fit.parameters)
+
+    def _other_starts(self, seed: int) -> list[Array]:
+        """Flow networks before training, beside that of the first state."""
+        config, grid = self._config, (self._cases.n_times, self._cases.n_points)
+        return [
+            initial_parameters(config, *grid, seed, number).flow
+            for number in range(1, config.all_at_once.starts)
+        ]
 
     def _fit_area(
         self, state: TrainingState, unit: Unit, area: Array, record: Recorder

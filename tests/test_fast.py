@@ -31,6 +31,7 @@ LITTLE = FAST.replace(
     coupling_passes=2,
     all_at_once={
         "rounds": 2,
+        "starts": 1,
         "validation": 0.3,
         "iterations": 8,
         "later_iterations": 5,
@@ -61,7 +62,8 @@ def everything(small_cases):
 
 def test_the_preset_is_the_papers_model():
     assert PRESETS["fast"] is FAST
-    assert FAST.replace(training="batches", flow={"steps": None}) == PAPER
+    one = {"training": "batches", "flow": {"steps": None}, "all_at_once": {"starts": 1}}
+    assert FAST.replace(**one) == PAPER
     assert PAPER.training == "batches"
 
 
@@ -442,7 +444,7 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     start = initial_parameters(LITTLE, 20, 21, 0).flow
 
     def fit(cases, selection):
-        return fast.fit_flow(start, cases, area, selection, engine, LITTLE, 3)
+        return fast.fit_flow([start], cases, area, selection, engine, LITTLE, 3)
 
     from pcnde_bridge import Cases
 
@@ -460,6 +462,49 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     )
     assert np.array_equal(fit(small_cases, parts[:1]), fit(other, parts[:1]))
     assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
+
+
+@pytest.mark.parametrize("validation", [0.0, 0.3])
+def test_the_best_of_several_starts_goes_on(engine, small_cases, grid, validation):
+    parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
+    area = undeformed(small_cases.area_undeformed, 20)
+    starts = [initial_parameters(LITTLE, 20, 21, 0, start).flow for start in range(3)]
+    assert not np.array_equal(starts[0], starts[1])
+    asked = []
+
+    def fit(*chosen):
+        def record(number):
+            asked.append(number)
+
+        return fast.fit_flow(chosen, small_cases, area, parts, engine, LITTLE, 3, record)
+
+    def error(vector):
+        inputs = FlowInputs(small_cases.inflow, area)
+        flow = engine.flow.solve(vector, inputs, grid, LITTLE)
+        return np.mean((flow - small_cases.flow)[parts[-1]] ** 2)
+
+    alone = [fit(start) for start in starts]
+    errors = [error(vector) for vector in alone]
+    assert np.ptp(errors) > 1e-3 * min(errors)
+    asked.clear()
+    assert np.array_equal(fit(*starts), alone[int(np.argmin(errors))])
+    assert asked == [1, 2, 3]
+
+
+def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
+    def run(starts):
+        config = LITTLE.replace(all_at_once={"starts": starts, "validation": 0.0})
+        trainer = Trainer(small_cases, config, toy_engine)
+        state = trainer.start(0)
+        return trainer.total(state), trainer.run(state)
+
+    total, three = run(3)
+    one_total, one = run(1)
+    tried = [r.batch for r in three.history if (r.stage, r.epoch) == ("flow", 1)]
+    assert (sorted(tried), set(tried)) == (tried, {1, 2, 3})
+    assert total == one_total + 2 * 8
+    assert len(three.history) <= total
+    assert {r.batch for r in one.history} == {1}
 
 
 @pytest.mark.julia
