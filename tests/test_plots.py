@@ -291,6 +291,18 @@ def test_loss_history_of_all_kinds_of_stages():
         plots.loss_history(history.iloc[:0])
 
 
+def test_loss_history_of_several_starts():
+    """Fits of many iterations have a line each: a mean over starts would say nothing."""
+    rows = [("flow", 1, start, i, start / i, 0.1) for start in (1, 2, 3) for i in range(1, 31)]
+    rows += [("flow", 2, 1, i, 0.03 / i, 0.1) for i in range(1, 21)]
+    history = pd.DataFrame(
+        rows, columns=["stage", "epoch", "batch", "iteration", "loss", "seconds"]
+    )
+    (axis, *_) = fits(plots.loss_history(history)).axes
+    assert [len(line.get_xdata()) for line in axis.lines] == [30, 30, 30, 20]
+    assert [line.get_xdata()[0] for line in axis.lines] == [1, 31, 61, 91]
+
+
 # Machado, Oliveira and Fernandes (2009): how dichromats see linear RGB.
 PROTANOPIA = [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]
 DEUTERANOPIA = [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]

@@ -25,6 +25,9 @@ _STAGE_UNITS = {
 }
 
 
+_LONG = 20  # iterations of a fit that is drawn by itself
+
+
 def loss_history(history: pd.DataFrame) -> Figure:
     """Plot the loss of every stage over the iterations of its fit.
 
@@ -37,8 +40,9 @@ def loss_history(history: pd.DataFrame) -> Figure:
     -------
     matplotlib.figure.Figure
         A panel for each stage that was fitted.  Stages that are fitted batch by
-        batch show every iteration as a pale dot, and the mean over the batches of
-        each epoch as a line.
+        batch in few iterations show every iteration as a pale dot, and the mean over
+        the batches of each epoch as a line; long fits, such as the starts of preset
+        ``fast``, have a line each.
 
     Raises
     ------
@@ -60,12 +64,17 @@ def loss_history(history: pd.DataFrame) -> Figure:
         name, unit = _STAGE_UNITS[stage]
         number = np.arange(1, len(fits) + 1)
         loss = fits["loss"].to_numpy()
+        fits = fits.assign(number=number)
+        batches = fits.groupby(["epoch", "batch"], sort=False)
         if fits["batch"].nunique() == 1:
             axis.plot(number, loss, "-", lw=1.6, color=PREDICTED)
+        elif len(fits) >= _LONG * batches.ngroups:
+            for _, fit in batches:
+                axis.plot(fit["number"], fit["loss"], "-", lw=1.6, color=PREDICTED)
         else:
             axis.plot(number, loss, ".", ms=4, alpha=0.4, mec="none", color=PREDICTED)
             # Each batch's last loss in each epoch, in the mean.
-            ends = fits.assign(number=number).groupby(["epoch", "batch"], sort=False).last()
+            ends = batches.last()
             means = ends.groupby("epoch")[["number", "loss"]].agg({"number": "max", "loss": "mean"})
             axis.plot(means["number"], means["loss"], "-", lw=1.6, color=TRUTH)
         if (loss > 0).all() and loss.max() > 10 * loss.min():
