@@ -201,7 +201,9 @@ def test_divergence_is_recorded(engine, small_cases):
     assert study.to_frame()["diverged"].all()
     assert study.landscape("friction", "coupled") is None
     assert seen == []
-    assert len(plots.landscapes(study).axes) == 2
+    drawn, missing = plots.landscapes(study).axes
+    assert drawn.texts[0].get_text() == "diverges\nat all points"
+    assert missing.texts[0].get_text() == "diverged\nat the first parameters"
 
 
 def test_minima_and_roughness():

@@ -134,7 +134,7 @@ def landscapes(study: LandscapeStudy) -> Figure:
             _panel(figure, axis, study, name, moment)
         row[0].set_ylabel(f"{when}\n" + r"amplitude $\alpha_2$")
     for name, axis in zip(names, axes[0], strict=True):
-        axis.set_title(_EQUATIONS.get(name, name), fontsize=12)
+        axis.set_title(_EQUATIONS.get(name, name), fontsize=12, pad=12)
     for axis in axes[-1]:
         axis.set_xlabel(r"amplitude $\alpha_1$")
     return figure
@@ -148,8 +148,9 @@ def _panel(figure: Figure, axis: Axes, study: LandscapeStudy, name: str, moment:
     axis.set_box_aspect(1)
     landscape = study.landscape(name, moment)
     if landscape is None or landscape.diverged.all():
-        words = study.outcomes[name].replace(" at ", "\nat ").replace(" after ", "\nafter ")
-        words = words.replace(", ", ",\n")
+        words = "diverges at all points" if landscape is not None else study.outcomes[name]
+        for before, after in ((" at ", "\nat "), (" after ", "\nafter "), (", ", ",\n")):
+            words = words.replace(before, after)
         axis.text(0.5, 0.5, words, ha="center", va="center", transform=axis.transAxes, fontsize=9)
         return
     finite = landscape.losses[~landscape.diverged]
