@@ -1,7 +1,7 @@
 """Time of independent fits with one and with more worker processes, and that bits agree.
 
 Run ``python benchmarks/scaling.py [DATA] [--preset fast] [--fits 4] [--workers 1 2]
-[--executors processes dask] [--turns 3] [--json FILE]``.  Every worker has one thread of
+[--turns 3] [--json FILE]``.  Every worker has one thread of
 XLA, so that one worker does not use what the second would.  The same seeds are fitted with
 each number of workers, in turns; workers are started, and have compiled, before the clock
 starts.  Prints the median seconds, the ratio to the first, and whether all parameters are
@@ -16,7 +16,7 @@ import json
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any
 
@@ -28,25 +28,6 @@ from pcnde_bridge.fits import FitTask, fit_model
 from pcnde_bridge.tasks import processes, run
 
 
-@contextlib.contextmanager
-def started(kind: str, workers: int) -> Iterator[Executor]:
-    """Start workers of one XLA thread each."""
-    if kind == "processes":
-        with processes(workers)() as pool:
-            yield pool
-        return
-    from dask.distributed import Client, LocalCluster
-
-    os.environ["NPROC"] = "1"
-    with (
-        LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client.get_executor()
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -55,7 +36,6 @@ def main() -> None:
     parser.add_argument("--config", default="{}", help="changes of the preset, as JSON")
     parser.add_argument("--fits", type=int, default=4)
     parser.add_argument("--workers", nargs="+", type=int, default=[1, 2])
-    parser.add_argument("--executors", nargs="+", default=["processes"])
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--json")
     options = parser.parse_args()
@@ -68,31 +48,27 @@ def main() -> None:
 
     rows = []
     with contextlib.ExitStack() as stack:
-        pools: dict[tuple[str, int], Executor] = {}
-        for kind in options.executors:
-            for workers in options.workers:
-                pools[kind, workers] = stack.enter_context(started(kind, workers))
-        seconds: dict[tuple[str, int], list[float]] = {key: [] for key in pools}
-        same: dict[tuple[str, int], bool] = dict.fromkeys(pools, True)
+        pools = {n: stack.enter_context(processes(n)()) for n in options.workers}
+        seconds: dict[int, list[float]] = {workers: [] for workers in pools}
+        same: dict[int, bool] = dict.fromkeys(pools, True)
         first: dict[str, dict[str, Any]] = {}
         for turn in range(options.turns + 1):
-            for key, pool in pools.items():
+            for workers, pool in pools.items():
                 began = time.perf_counter()
                 results = fit_all(pool)
                 if turn:  # the first compiles
-                    seconds[key].append(time.perf_counter() - began)
+                    seconds[workers].append(time.perf_counter() - began)
                 first = first or results
-                same[key] &= identical(results, first)
+                same[workers] &= identical(results, first)
         base = statistics.median(next(iter(seconds.values())))
-        for (kind, workers), values in seconds.items():
+        for workers, values in seconds.items():
             taken = statistics.median(values)
             row = {
-                "executor": kind,
                 "workers": workers,
                 "fits": options.fits,
                 "seconds": taken,
                 "ratio": base / taken,
-                "identical": same[kind, workers],
+                "identical": same[workers],
                 "load": os.getloadavg()[0],
             }
             rows.append(row)
