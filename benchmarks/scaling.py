@@ -1,11 +1,10 @@
 """Time of independent fits with one and with more worker processes, and that bits agree.
 
-Run ``python benchmarks/scaling.py [DATA] [--preset fast] [--fits 4] [--workers 1 2]
-[--turns 3] [--json FILE]``.  Every worker has one thread of
-XLA, so that one worker does not use what the second would.  The same seeds are fitted with
-each number of workers, in turns; workers are started, and have compiled, before the clock
-starts.  Prints the median seconds, the ratio to the first, and whether all parameters are
-those of the first run, bit for bit.
+Run ``python benchmarks/scaling.py [DATA] [--preset fast] [--fits 4] [--workers 1 2] [--turns 3]
+[--json FILE]``.  Every worker has one thread of XLA, so that one worker does not use what the
+second would.  The same seeds are fitted with each number of workers, in turns; workers are
+started, and have compiled, before the clock starts.  Prints the median seconds, the ratio to the
+first, and whether all parameters are those of the first run, bit for bit.
 """
 
 from __future__ import annotations

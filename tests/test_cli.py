@@ -318,14 +318,20 @@ def test_evaluate_refuses(folder, tmp_path, run, small_cases):
 # ---- predict ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
-def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffix):
-    out = tmp_path / f"result{suffix}"
+def predicted(run, folder, inflow, out):
+    """Run ``pcnde predict`` with one vessel, and return what it prints."""
     code, printed, _ = run(
-        "predict", folder / "model.pcnde", "--inflow", folder / "inflow.csv",
+        "predict", folder / "model.pcnde", "--inflow", folder / inflow,
         "--area", folder / "area.csv", "--out", out, "--engine", "jax",
     )  # fmt: skip
     assert code == 0
+    return printed
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
+def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffix):
+    out = tmp_path / f"result{suffix}"
+    printed = predicted(run, folder, "inflow.csv", out)
     assert f"Saved 1 case in {out}" in printed
     expected = small_model.predict(small_cases.inflow[0], small_cases.area_undeformed[0])
     if suffix == ".csv":
@@ -341,11 +347,7 @@ def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffi
 
 def test_predict_many_waveforms_in_one_vessel(folder, tmp_path, run, small_model, small_cases):
     out = tmp_path / "result.npz"
-    code, printed, _ = run(
-        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
-        "--area", folder / "area.csv", "--out", out, "--engine", "jax",
-    )  # fmt: skip
-    assert code == 0
+    printed = predicted(run, folder, "inflows.csv", out)
     assert "Saved 12 cases" in printed
     expected = small_model.predict(small_cases.inflow, small_cases.area_undeformed[0])
     assert np.array_equal(Cases.load(out).flow, expected.flow)
@@ -363,11 +365,7 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
 
     monkeypatch.setattr(PCNDE, "predict_batches", in_fives)
     out = tmp_path / "result.csv.gz"
-    code, printed, _ = run(
-        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
-        "--area", folder / "area.csv", "--out", out, "--engine", "jax",
-    )  # fmt: skip
-    assert code == 0
+    printed = predicted(run, folder, "inflows.csv", out)
     assert "Saved 12 cases" in printed
     assert batches == [5, 5, 2]
     expected = small_model.predict(small_cases.inflow, small_cases.area_undeformed[0])
@@ -376,11 +374,7 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
 
 def test_predict_names_the_files_that_it_wrote(folder, tmp_path, run):
     pytest.importorskip("vtkmodules")
-    code, printed, _ = run(
-        "predict", folder / "model.pcnde", "--inflow", folder / "inflows.csv",
-        "--area", folder / "area.csv", "--out", tmp_path / "p.vtp", "--engine", "jax",
-    )  # fmt: skip
-    assert code == 0
+    printed = predicted(run, folder, "inflows.csv", tmp_path / "p.vtp")
     assert f"Saved 12 cases in {tmp_path / 'p_000.vtp'} to p_011.vtp." in printed
     assert len(list(tmp_path.iterdir())) == 12
 
