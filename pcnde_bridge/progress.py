@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 
 from rich.console import Console
@@ -17,6 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from pcnde_bridge import interrupts
 from pcnde_bridge.history import Iteration, OnRecord
 
 _LOG_EVERY = 10.0  # seconds between two lines where no bar can be drawn
@@ -107,8 +108,8 @@ class TrainingProgress:
 
 
 @contextmanager
-def listening(progress: bool | OnRecord, total: int, done: int = 0) -> Iterator[OnRecord | None]:
-    """Give what is called with every iteration: a bar, the caller's function, or nothing.
+def listening(progress: bool | OnRecord, total: int, done: int = 0) -> Iterator[OnRecord]:
+    """Give what is called with every iteration: it looks for Ctrl-C, and tells whoever listens.
 
     Parameters
     ----------
@@ -117,11 +118,18 @@ def listening(progress: bool | OnRecord, total: int, done: int = 0) -> Iterator[
     total, done : int
         As of :class:`TrainingProgress`.
     """
-    if progress is True:
-        with TrainingProgress(total, done) as bar:
-            yield bar
-    else:
-        yield progress if callable(progress) else None
+    with ExitStack() as stack:
+        look = stack.enter_context(interrupts.kept())
+        hears: bool | OnRecord = progress
+        if progress is True:
+            hears = stack.enter_context(TrainingProgress(total, done))
+
+        def on_record(iteration: Iteration) -> None:
+            look()
+            if callable(hears):
+                hears(iteration)
+
+        yield on_record
 
 
 class TaskProgress:

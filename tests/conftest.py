@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import ClassVar
@@ -246,3 +247,19 @@ def run_pcnde(monkeypatch, capsys):
         return code, out, err
 
     return run
+
+
+class _Dying:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.fixture
+def drop_ctrl_c():
+    """Press Ctrl-C in an object's last moment, when nobody can receive an exception."""
+
+    def drop() -> None:
+        dying = _Dying()
+        del dying
+
+    return drop

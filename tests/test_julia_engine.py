@@ -394,12 +394,27 @@ def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
     patient = flow_problem[-1].replace(optimiser={"gradient_tolerance": 0.0})
     with pytest.raises(KeyboardInterrupt):
         timer.start()
-        for _ in range(1000):
+        for _ in range(20):
             engine.flow.fit(
                 *flow_problem[:-1], patient, 1000, (lambda *_: None) if listening else None
             )
     timer.cancel()
     assert np.isfinite(engine.flow.fit(*flow_problem, 1).losses).all()
+
+
+@marked
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_ctrl_c_that_python_drops_ends_a_fit(engine, flow_problem, drop_ctrl_c):
+    heard = []
+
+    def listen(number, loss):
+        heard.append(number)
+        if number == 2:
+            drop_ctrl_c()
+
+    with pytest.raises(KeyboardInterrupt):
+        engine.flow.fit(*flow_problem, 5, listen)
+    assert heard == [1, 2]
 
 
 @marked

@@ -138,10 +138,17 @@ def test_an_interrupted_bar_stays_where_it_was():
     assert "10/10" not in console.file.getvalue()
 
 
-def test_listening_is_a_bar_or_the_callers_function_or_nothing():
-    with listening(True, 3) as heard:
-        assert isinstance(heard, TrainingProgress)
-    with listening(print, 3) as heard:
-        assert heard is print
-    with listening(False, 3) as heard:
-        assert heard is None
+def test_listening_is_a_bar_or_the_callers_function_or_nothing(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    heard = []
+    for listener, words in (
+        (True, "flow, epoch 1: iteration 1 of 3"),
+        (heard.append, ""),
+        (False, ""),
+    ):
+        with listening(listener, 3) as on_record:
+            on_record(record(1))
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith(words) if words else said.err == ""
+    assert heard == [record(1)]

@@ -43,6 +43,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge import interrupts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
@@ -665,24 +666,26 @@ class JuliaStage(Generic[InputsT]):
         on_iteration: OnIteration | None = None,
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
+        with interrupts.kept() as look:
 
-        def after_iteration(number: int, loss: float) -> None:
-            # Called even if nobody listens: here Python notices a Ctrl-C.
-            if on_iteration is not None:
-                on_iteration(int(number), float(loss))
+            def after_iteration(number: int, loss: float) -> None:
+                # Called even if nobody listens: here Python notices a Ctrl-C.
+                look()
+                if on_iteration is not None:
+                    on_iteration(int(number), float(loss))
 
-        fitted, losses, converged, message = self._julia.call(
-            "fit",
-            self._name,
-            parameters,
-            _arrays(inputs),
-            target,
-            grid.z,
-            float(grid.period),
-            config,
-            iterations,
-            after_iteration,
-        )
+            fitted, losses, converged, message = self._julia.call(
+                "fit",
+                self._name,
+                parameters,
+                _arrays(inputs),
+                target,
+                grid.z,
+                float(grid.period),
+                config,
+                iterations,
+                after_iteration,
+            )
         return Fit(fitted, losses, bool(converged), str(message))
 
 
