@@ -1,10 +1,11 @@
 """Time of independent fits with one and with more worker processes, and that bits agree.
 
 Run ``python benchmarks/scaling.py [DATA] [--preset fast] [--fits 4] [--workers 1 2] [--turns 3]
-[--json FILE]``.  Every worker has one thread of XLA, so that one worker does not use what the
-second would.  The same seeds are fitted with each number of workers, in turns; workers are
-started, and have compiled, before the clock starts.  Prints the median seconds, the ratio to the
-first, and whether all parameters are those of the first run, bit for bit.
+[--executor processes] [--json FILE]``; ``dask`` is a local cluster.  Every worker has one thread
+of XLA, so that one worker does not use what the second would.  The same seeds are fitted with
+each number of workers, in turns; workers are started, and have compiled, before the clock starts.
+Prints the median seconds, the ratio to the first, and whether all parameters are those of the
+first run, bit for bit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from typing import Any
 
@@ -27,6 +28,23 @@ from pcnde_bridge.fits import FitTask, fit_model
 from pcnde_bridge.tasks import processes, run
 
 
+@contextlib.contextmanager
+def started(kind: str, workers: int) -> Iterator[Executor]:
+    """Start workers of one XLA thread each."""
+    if kind == "processes":
+        with processes(workers)() as pool:
+            yield pool
+        return
+    from dask.distributed import Client, LocalCluster
+
+    os.environ["NPROC"] = "1"
+    with (
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client.get_executor()
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -36,6 +54,7 @@ def main() -> None:
     parser.add_argument("--fits", type=int, default=4)
     parser.add_argument("--workers", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--executor", default="processes", choices=["processes", "dask"])
     parser.add_argument("--json")
     options = parser.parse_args()
     train = load_cases(options.data).split("paper").train
@@ -47,7 +66,7 @@ def main() -> None:
 
     rows = []
     with contextlib.ExitStack() as stack:
-        pools = {n: stack.enter_context(processes(n)()) for n in options.workers}
+        pools = {n: stack.enter_context(started(options.executor, n)) for n in options.workers}
         seconds: dict[int, list[float]] = {workers: [] for workers in pools}
         same: dict[int, bool] = dict.fromkeys(pools, True)
         first: dict[str, dict[str, Any]] = {}

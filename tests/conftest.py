@@ -26,6 +26,9 @@ settings.register_profile("suite", max_examples=25, derandomize=True, deadline=N
 settings.register_profile("long", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
+# A shell lets its background jobs ignore Ctrl-C, and they what they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 @pytest.fixture(scope="session")
 def small_cases() -> Cases:

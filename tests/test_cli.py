@@ -116,13 +116,8 @@ def test_interrupted_by_ctrl_c_then_continued(folder, fit_options, tmp_path, run
     out = tmp_path / "model.pcnde"
     checkpoint = tmp_path / "model.pcnde.checkpoint"
     arguments = ["fit", folder / "cases.npz", *fit_options, "--out", out]
-    # As a terminal has it: what a shell runs in the background ignores the signal.
-    code = (
-        "import signal; from pcnde_bridge.cli import main\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler); main()"
-    )
     child = subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
+        [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

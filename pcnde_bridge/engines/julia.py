@@ -35,7 +35,7 @@ import sys
 import threading
 import types
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -441,8 +441,11 @@ class _Julia:
         """Versions of Julia and the packages that compute."""
         return {str(name): str(version) for name, version in self.call("versions").items()}
 
-    def call(self, name: str, *arguments: Any) -> Any:
-        """Call one of PCNDECore's functions; arrays and settings are converted."""
+    def call(self, name: str, *arguments: Any, into: Iterable[Array] = ()) -> Any:
+        """Call one of PCNDECore's functions; arrays and settings are converted.
+
+        The arrays ``into`` come first: the function fills them where they are.
+        """
         if os.getpid() != self._process:
             raise EngineError(
                 "Julia does not survive a fork: start worker processes with the 'spawn' method "
@@ -454,7 +457,8 @@ class _Julia:
                 'one thread, or take engine="jax", which any thread may use.'
             )
         try:
-            result = getattr(self._core, name)(*map(self._to_julia, arguments))
+            results = [self._core.of_python(*_memory(array)) for array in into]
+            result = getattr(self._core, name)(*results, *map(self._to_julia, arguments))
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
             failure = self._failure(error)
@@ -465,8 +469,7 @@ class _Julia:
         """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value, dtype=np.float64)
-            # By its address, so that Julia need not compile for Python's types of arrays.
-            return self._core.from_python(array.ctypes.data, *reversed(array.shape))
+            return self._core.from_python(*_memory(array))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
         if isinstance(value, PCNDEConfig | ClosureConfig):
@@ -508,6 +511,11 @@ class _Julia:
         base = self._juliacall.Base
         text = str(base.sprint(base.showerror, error.exception)).strip()
         return text if len(text) <= 1000 else f"{text[:1000]} …"
+
+
+def _memory(array: Array) -> tuple[int, ...]:
+    """Address and shape in Julia's order, so that Julia need not compile for Python's types."""
+    return array.__array_interface__["data"][0], *reversed(array.shape)
 
 
 _lock = threading.Lock()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.buffers import Buffers
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Grid, Solution
@@ -23,6 +24,7 @@ class JuliaClosures:
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
+        self._buffers = Buffers()
 
     def losses(
         self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
@@ -60,18 +62,20 @@ class JuliaClosures:
         config: ClosureConfig,
     ) -> Solution:
         """See the protocol."""
-        return Solution(
-            *self._call(
-                "predict_closures",
-                tuple(vector for _, vector in parameters),
-                shift,
-                inflow,
-                area_undeformed,
-                grid.z,
-                float(grid.period),
-                config,
-            )
+        shape = len(inflow), inflow.shape[1], grid.z.size
+        flow, area, pressure = (self._buffers.empty(shape) for _ in range(3))
+        self._call(
+            "predict_closures_b",
+            tuple(vector for _, vector in parameters),
+            shift,
+            inflow,
+            area_undeformed,
+            grid.z,
+            float(grid.period),
+            config,
+            into=(flow, area, pressure),
         )
+        return Solution(flow, area, pressure)
 
     def _problem(
         self, name: str, inputs: tuple[Array, ...], grid: Grid, config: ClosureConfig

@@ -32,14 +32,19 @@ function settings(default::T, given::Dict{String, Any}) where {T}
 end
 
 """
+    of_python(address, shape...)
+
+Python's float64 array of that shape itself, in Julia's order of indices; to be used no
+longer than Python keeps it.
+"""
+of_python(address::Int, shape::Int...) = unsafe_wrap(Array, Ptr{Float64}(address), shape)
+
+"""
     from_python(address, shape...)
 
-A copy of Python's float64 array of that shape, in Julia's order of indices, as an `Array`
-whose memory does not depend on Python.
+A copy of [`of_python`](@ref), whose memory does not depend on Python.
 """
-function from_python(address::Int, shape::Int...)
-    return copy(unsafe_wrap(Array, Ptr{Float64}(address), shape))
-end
+from_python(address::Int, shape::Int...) = copy(of_python(address, shape...))
 
 """
     solve(stage, θ, inputs, z, period, config)

@@ -70,7 +70,9 @@
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
         coupled = (closures[1:3]..., wave, area_undeformed, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)
-        predict_closures(closures, zeros(n_cases), wave, area_undeformed, z, 1.0, chosen)
+        results = similar(flow), similar(flow), similar(flow)
+        given = closures, zeros(n_cases), wave, area_undeformed
+        predict_closures!(results..., given..., z, 1.0, chosen)
         versions()
         HELD[] = nothing
     end

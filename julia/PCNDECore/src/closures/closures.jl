@@ -16,9 +16,9 @@ Parameters whose derivatives are computed together, at most.
 const TOGETHER = 8
 
 """
-Vessels that are kept at a time by each thread.
+Vessels that are remembered.
 """
-const VESSELS = 64
+const VESSELS = 256
 
 """
     value_and_jacobian(closure, parameters)
@@ -117,11 +117,11 @@ end
 function FlowClosure(
     outlet, losses, wall, inflow, area_undeformed, points, z, period, config::ClosureConfig,
 )
-    vessels = vessels_of(wall, losses, z, config)
+    vessels = Vessels(wall, losses, z, config)
     return FlowClosure(
         outlet,
         wall,
-        [vessels(column) for column in eachcol(area_undeformed)],
+        [vessels(area_undeformed[:, case]) for case in axes(area_undeformed, 2)],
         inflow,
         points,
         Harmonics(size(inflow, 1), period),
@@ -133,35 +133,75 @@ function (closure::FlowClosure)(parameters::Vector{T}) where {T}
     (; outlet, wall, vessels, inflow, points, harmonics, settings) = closure
     flow = Array{T}(undef, length(points), size(inflow)...)
     over_cases(size(inflow, 2)) do cases
+        coupled = Coupled(T, harmonics)
         for case in cases
             q, vessel = inflow[:, case], vessels[case]
-            coupled = couple(outlet, wall, parameters, 0.0, vessel, q, harmonics, settings)
-            flow[:, :, case] .= q' .+ coupled.volume[points, :] * coupled.storage
+            couple!(coupled, outlet, wall, parameters, 0.0, vessel, q, harmonics, settings)
+            in_z = at_mean(vessel.flow, vessel.flow_slope, coupled.mean_pressure)
+            flow[:, :, case] .= in_z[points, :] * coupled.flow
         end
     end
     return flow
 end
 
 """
-    vessels_of(wall, losses, z, config)
+    Vessels(wall, losses, z, config)
 
-A function from S_u to its [`VesselModes`](@ref) that remembers the last few: many
-waveforms usually share few vessels.
+Makes the [`VesselModes`](@ref) of a vessel, S_u (z), and remembers those of the last few:
+many waveforms usually share few vessels. Threads may share it.
 """
-function vessels_of(wall, losses, z, config::ClosureConfig)
-    known = Dict{Vector{Float64}, VesselModes}()
-    return function (area_undeformed)
+struct Vessels
+    wall::Vector{Float64}
+    losses::Vector{Float64}
+    z::Vector{Float64}
+    config::ClosureConfig
+    known::Dict{Vector{Float64}, VesselModes}
+    lock::ReentrantLock
+end
+
+Vessels(wall, losses, z, config) =
+    Vessels(wall, losses, z, config, Dict{Vector{Float64}, VesselModes}(), ReentrantLock())
+
+function (vessels::Vessels)(area_undeformed::Vector{Float64})
+    (; wall, losses, z, config, known) = vessels
+    found = @lock vessels.lock get(known, area_undeformed, nothing)
+    found === nothing || return found
+    made = VesselModes(wall, losses, area_undeformed, z, config.wall.law, config.physics)
+    @lock vessels.lock begin
         length(known) < VESSELS || empty!(known)
-        return get!(known, area_undeformed) do
-            VesselModes(wall, losses, area_undeformed, z, config.wall.law, config.physics)
-        end
+        known[area_undeformed] = made
     end
+    return made
+end
+
+# What the last prediction made, for the next one of the same model.
+const LAST_VESSELS = Ref(Vessels(Float64[], Float64[], Float64[], ClosureConfig()))
+const LAST_HARMONICS = Ref((NaN, Harmonics(2, 1.0)))
+
+function remembered_vessels(wall, losses, z, config::ClosureConfig)
+    last = LAST_VESSELS[]
+    same =
+        (last.wall, last.losses, last.z) == (wall, losses, z) &&
+        (last.config.wall, last.config.physics) == (config.wall, config.physics)
+    same || (LAST_VESSELS[] = Vessels(wall, losses, z, config))
+    return LAST_VESSELS[]
+end
+
+function remembered_harmonics(n_times, period)
+    last_period, last = LAST_HARMONICS[]
+    (period, n_times) == (last_period, last.n_times) && return last
+    harmonics = Harmonics(n_times, period)
+    LAST_HARMONICS[] = (period, harmonics)
+    return harmonics
 end
 
 """
-    predict_closures(parameters, shift, inflow, area_undeformed, z, period, config)
+    predict_closures!(
+        flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period, config,
+    )
 
-`(flow, area, pressure)`, (z, time, case), mL/s, cm² and dyn/cm², of every case on its own.
+Write flow, area and pressure, (z, time, case), mL/s, cm² and dyn/cm², of every case on its
+own.
 
 # Arguments
 
@@ -176,30 +216,30 @@ end
 
 `SolveError` if the coupling passes of a case do not converge.
 """
-function predict_closures(
-    parameters, shift, inflow, area_undeformed, z, period, config::ClosureConfig,
+function predict_closures!(
+    flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period,
+    config::ClosureConfig,
 )
     outlet, losses, wall, correction = parameters
     n_times, n_cases = size(inflow)
-    harmonics = Harmonics(n_times, period)
-    flow, area, pressure = (Array{Float64}(undef, length(z), n_times, n_cases) for _ in 1:3)
+    harmonics = remembered_harmonics(n_times, period)
+    vessels = remembered_vessels(wall, losses, z, config)
     over_cases(n_cases) do cases
-        vessels = vessels_of(wall, losses, z, config)
+        coupled = Coupled(Float64, harmonics)
         for case in cases
             vessel, q = vessels(area_undeformed[:, case]), inflow[:, case]
-            coupled = couple(
-                outlet, wall, correction, shift[case], vessel, q, harmonics,
+            couple!(
+                coupled, outlet, wall, correction, shift[case], vessel, q, harmonics,
                 config.correction, SETTLED,
             )
             coupled.change <= ACCEPTED * maximum(abs, q) ||
                 throw(unsettled(case, config.correction.passes))
             @views fields!(
-                flow[:, :, case], area[:, :, case], pressure[:, :, case],
-                coupled, vessel, wall, q,
+                flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel,
             )
         end
     end
-    return flow, area, pressure
+    return nothing
 end
 
 unsettled(case, passes) = SolveError(

@@ -29,7 +29,9 @@ g, (time).
 """
 function hidden_share(parameters, pressure_rate, flow, shift, hidden)
     _, ceiling, u_scale, y_scale = parameters
-    x = [pressure_rate' ./ u_scale; flow' ./ y_scale]
+    x = similar(flow, 2, length(flow))
+    x[1, :] .= pressure_rate ./ u_scale
+    x[2, :] .= flow ./ y_scale
     at, n = 4, 2
     for (layer, m) in enumerate((hidden..., 1))
         weight = reshape(parameters[(at + 1):(at + n * m)], m, n)

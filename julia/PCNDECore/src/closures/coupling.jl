@@ -24,33 +24,42 @@
 """
     VesselModes(wall, loss, area_undeformed, z, law, physics)
 
-What of a vessel, S_u (z), does not depend on the flow; k = 10 modes of the losses.
+Functions of z of one vessel, S_u (z): flow, area and pressure are their sums. They belong to
+the functions of time of [`Coupled`](@ref), with k = 10 modes of the losses.
 
-  - `radius`, `uniform`: r_u, cm, and the displacement under 1 dyn/cm² everywhere, (z).
-  - `pressure`, `moved`: the losses' functions of z, and the displacements under them, (z, k).
-  - `volume`: before z, that belongs to P, to P² and to the modes, (z, 2 + k).
-  - `volume_slope`: what the mean of P adds to the modes' volume, (z, k).
+  - `flow`: 1, and the volume before z that belongs to P, to P² and to the modes, (z, 3 + k).
+  - `area`: of P², of 1, of P and of the modes, (z, 3 + k): (r_u + u_r)² without the products
+    of modes.
+  - `pressure`: p₀, 1 and the losses' functions of z, (z, 2 + k).
+  - `flow_slope`, `area_slope`: what the mean of P adds to the modes' columns of flow and
+    area, (z, k).
 """
 struct VesselModes
-    radius::Vector{Float64}
-    uniform::Vector{Float64}
+    flow::Matrix{Float64}
+    area::Matrix{Float64}
     pressure::Matrix{Float64}
-    moved::Matrix{Float64}
-    volume::Matrix{Float64}
-    volume_slope::Matrix{Float64}
+    flow_slope::Matrix{Float64}
+    area_slope::Matrix{Float64}
 end
 
 function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
     radius = sqrt.(area_undeformed ./ π)
     uniform = vec(displacement(wall, ones(length(z), 1), area_undeformed, z, law))
-    first = from_inlet(2π .* radius .* uniform, z)
+    per_pressure = 2π .* radius .* uniform
+    first = from_inlet(per_pressure, z)
     coefficients = Coefficients(loss, area_undeformed, z, physics)
     pressure = modes_in_space(coefficients, first ./ first[end], z)
     moved = displacement(wall, pressure, area_undeformed, z, law)
-    second = from_inlet(π .* uniform .^ 2, z)
-    along(factor) = mapslices(mode -> from_inlet(2π .* factor .* mode, z), moved; dims = 1)
-    volume = [first second along(radius)]
-    return VesselModes(radius, uniform, pressure, moved, volume, along(uniform))
+    square, one = π .* uniform .^ 2, ones(length(z))
+    area, slope = 2π .* radius .* moved, 2π .* uniform .* moved
+    along(modes) = mapslices(mode -> from_inlet(mode, z), modes; dims = 1)
+    return VesselModes(
+        [one first from_inlet(square, z) along(area)],
+        [square area_undeformed per_pressure area],
+        [wall[end] .* one one pressure],
+        along(slope),
+        slope,
+    )
 end
 
 """
@@ -64,30 +73,43 @@ function impedance(outlet, omega)
 end
 
 """
-    Coupled
+    Coupled(T, harmonics)
 
-The converged functions of time of one case.
+The functions of time of one case, which [`couple!`](@ref) finds; k as in
+[`VesselModes`](@ref).
 
-  - `outlet_pressure`: P = p(L) − p₀, dyn/cm², (time); `mean_pressure`: its mean that the
-    inflow gives.
-  - `modes`: the losses' functions of time, (k, time).
-  - `volume`: that of [`VesselModes`](@ref) at this mean pressure, (z, 2 + k).
-  - `storage`: −κ(1 − g)·∂_t of P, P² and the modes, (2 + k, time): Q = Q_in + volume·storage.
-  - `change`: what the last pass changed Q(L) by at most, mL/s.
+  - `flow`: of the flow: Q_in, and −κ(1 − g)·∂_t of P = p(L) − p₀, of P² and of the modes,
+    (3 + k, time).
+  - `area`: of the area: P², 1, P and the modes; without the first those of the pressure,
+    (3 + k, time).
+  - `mean_pressure`: the mean of P that the inflow gives.
+  - `change`: no change of Q(L) in the last pass was larger, mL/s.
+  - `reverses`: whether some flow goes back; else the last three modes are zero.
+  - `inflow`: q with its two rates, then the passive tube's ∂P/∂t and Q(L); `outlet`: d with
+    its two rates, P without its constant part, and ∂P/∂t; `left`: what a pass has left over.
 """
-struct Coupled{T}
-    outlet_pressure::Vector{T}
+mutable struct Coupled{T}
+    const flow::Matrix{T}
+    const area::Matrix{T}
     mean_pressure::Float64
-    modes::Matrix{T}
-    volume::Matrix{Float64}
-    storage::Matrix{T}
     change::T
+    reverses::Bool
+    const inflow::Waves{T}
+    const outlet::Waves{T}
+    const left::Waves{T}
+end
+
+function Coupled(::Type{T}, harmonics::Harmonics) where {T}
+    room() = Matrix{T}(undef, 3 + N_MODES, harmonics.n_times)
+    waves = (Waves(T, harmonics, n_signals) for n_signals in (5, 5, 1))
+    return Coupled(room(), room(), NaN, T(NaN), false, waves...)
 end
 
 """
-    couple(outlet, wall, correction, shift, vessel, inflow, harmonics, settings, tolerance = 0.0)
+    couple!(coupled, outlet, wall, correction, shift, vessel, inflow, harmonics, settings,
+        tolerance = 0.0)
 
-Find the outlet flow of one case, and all functions of time with it, as [`Coupled`](@ref).
+Find the outlet flow of one case, and all functions of time with it.
 
 # Arguments
 
@@ -99,26 +121,34 @@ Find the outlet flow of one case, and all functions of time with it, as [`Couple
   - `tolerance`: passes end once one changes Q(L) by less, relative to the largest inflow;
     with 0 all passes are made, as derivatives need it.
 """
-function couple(
-    outlet, wall, correction::Vector{T}, shift, vessel::VesselModes, inflow::Vector{Float64},
-    harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
+function couple!(
+    coupled::Coupled{T}, outlet, wall, correction::Vector{T}, shift, vessel::VesselModes,
+    inflow, harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
 ) where {T}
     turned = im .* harmonics.omega
     z_outlet = impedance(outlet, harmonics.omega)
     kappa = storage_factor(correction)
-    q_hat = spectrum(harmonics, inflow)
-    q = signals(harmonics, [q_hat, turned .* q_hat, turned .^ 2 .* q_hat])
-
     offset = outlet[4] - wall[end]
     mean_flow = sum(inflow) / length(inflow)
     mean_pressure = real(z_outlet[1]) * mean_flow + offset
-    volume = copy(vessel.volume)
-    volume[:, 3:end] .+= mean_pressure .* vessel.volume_slope
-    total = volume[end, :]
+    total = [
+        vessel.flow[end, 1 + k] + (k > 2 ? mean_pressure * vessel.flow_slope[end, k - 2] : 0)
+        for k in 1:(2 + N_MODES)
+    ]
 
+    coupled.left.signals[:, 1] = inflow
+    analyse!(coupled.left, harmonics)
+    @views q_hat = complex.(coupled.left.real[:, 1], coupled.left.imaginary[:, 1])
     passive = q_hat ./ (1 .+ kappa .* total[1] .* turned .* z_outlet)
-    response = signals(harmonics, [turned .* z_outlet .* passive, passive])
-    g = hidden_share(correction, response[1, :], response[2, :], shift, settings.hidden)
+    set!(coupled.inflow, 1, q_hat)
+    set!(coupled.inflow, 2, turned .* q_hat)
+    set!(coupled.inflow, 3, turned .^ 2 .* q_hat)
+    set!(coupled.inflow, 4, turned .* z_outlet .* passive)
+    set!(coupled.inflow, 5, passive)
+    synthesise!(coupled.inflow, harmonics)
+    q = coupled.inflow.signals
+    q[:, 1] = inflow
+    @views g = hidden_share(correction, q[:, 4], q[:, 5], shift, settings.hidden)
     shown = 1 ./ (1 .- g)
 
     # Of the modes d, ∂d/∂t and q·d, which come with −y.
@@ -129,70 +159,162 @@ function couple(
         turned .* (of_stored + of_product * mean_flow .+ turned .* of_rate)
     solve = 1 ./ (sum(shown) / length(shown) .+ kappa .* linear)
 
-    pressure = Vector{T}(undef, length(inflow))
-    modes = Matrix{T}(undef, N_MODES, length(inflow))
-    rates = Matrix{T}(undef, 2 + N_MODES, length(inflow))
-    function after_outlet!(y_hat)
-        stored, p_hat = q_hat .- y_hat, z_outlet .* y_hat
-        stored_rate = turned .* stored
-        spectra = [stored, stored_rate, turned .* stored_rate, p_hat, turned .* p_hat]
-        at_outlet = signals(harmonics, spectra)
-        state!(pressure, modes, rates, q, at_outlet, offset)
-        return at_outlet[1, :]
-    end
-
-    y_hat, change = Vector{Complex{T}}(passive), T(Inf)
+    y_hat, change = passive, T(Inf)
     settled = tolerance * maximum(abs, inflow)
+    after_outlet!(coupled.outlet, harmonics, q_hat, y_hat, z_outlet)
     for _ in 1:settings.passes
-        stored = after_outlet!(y_hat)
-        left = shown .* stored .- kappa .* (rates' * total)
-        step = solve .* spectrum(harmonics, left)
-        y_hat = y_hat .+ step
-        # No signal exceeds the sum of its harmonics' amplitudes.
-        size = abs.(step)
-        change = (2 * sum(size) - size[1]) / length(inflow)
+        left_over!(coupled.left.signals, q, coupled.outlet.signals, shown, total, kappa, offset)
+        analyse!(coupled.left, harmonics)
+        change = advance!(y_hat, coupled.left, solve) / length(inflow)
+        after_outlet!(coupled.outlet, harmonics, q_hat, y_hat, z_outlet)
         change <= settled && break
     end
-    after_outlet!(y_hat)
-    storage = -kappa .* (1 .- g') .* rates
-    return Coupled(pressure, mean_pressure, modes, volume, storage, change)
+    coupled.mean_pressure, coupled.change = mean_pressure, change
+    functions_of_time!(coupled, g, kappa, offset)
+    return coupled
 end
 
 """
-    state!(pressure, modes, rates, q, at_outlet, offset)
+    set!(waves, signal, spectrum)
 
-P, the losses' modes, and the rates of P, P² and the modes, from q with its two rates, and
-the outlet's d with its two rates, P without its constant part `offset`, and ∂P/∂t.
+Put complex harmonics in the place of a signal's.
 """
-function state!(pressure, modes, rates, q, at_outlet, offset)
-    for t in eachindex(pressure)
-        inflow = (q[1, t], q[2, t], q[3, t])
-        stored = (at_outlet[1, t], at_outlet[2, t], at_outlet[3, t])
-        @views modes_in_time!(modes[:, t], rates[3:end, t], inflow, stored)
-        pressure[t] = at_outlet[4, t] + offset
-        rates[1, t] = at_outlet[5, t]
-        rates[2, t] = 2 * pressure[t] * rates[1, t]
+function set!(waves::Waves, signal, spectrum)
+    @inbounds for k in eachindex(spectrum)
+        waves.real[k, signal], waves.imaginary[k, signal] = reim(spectrum[k])
     end
     return nothing
 end
 
 """
-    fields!(flow, area, pressure, coupled, vessel, wall, inflow)
+    after_outlet!(waves, harmonics, q_hat, y_hat, z_outlet)
 
-Flow (mL/s), area (cm²) and pressure (dyn/cm²) of one case, each (z, time).
-
-The area keeps of the square (r_u + u_r)² what the volume keeps: all of the uniform
-pressure's displacement, and of the losses' the product with the rest at its mean pressure.
+Fill the signals of the outlet from the harmonics of the inflow and of the outlet flow.
 """
-function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes, wall, inflow)
-    (; radius, uniform) = vessel
-    p = coupled.outlet_pressure'
-    flow .= inflow'
-    mul!(flow, coupled.volume, coupled.storage, 1, 1)
-    area .= π .* (radius .+ uniform .* p) .^ 2
-    moved = 2π .* (radius .+ uniform .* coupled.mean_pressure) .* vessel.moved
-    mul!(area, moved, coupled.modes, 1, 1)
-    pressure .= p .+ wall[end]
-    mul!(pressure, vessel.pressure, coupled.modes, 1, 1)
+function after_outlet!(waves::Waves, harmonics::Harmonics, q_hat, y_hat, z_outlet)
+    (; real, imaginary) = waves
+    @inbounds for k in eachindex(y_hat)
+        omega, d, p = harmonics.omega[k], q_hat[k] - y_hat[k], z_outlet[k] * y_hat[k]
+        real[k, 1], imaginary[k, 1] = reim(d)
+        real[k, 2], imaginary[k, 2] = reim(im * omega * d)
+        real[k, 3], imaginary[k, 3] = reim(-omega^2 * d)
+        real[k, 4], imaginary[k, 4] = reim(p)
+        real[k, 5], imaginary[k, 5] = reim(im * omega * p)
+    end
+    synthesise!(waves, harmonics)
     return nothing
+end
+
+"""
+    left_over!(left, q, outlet, shown, total, kappa, offset)
+
+Fill `left` with e·d − κ·∂V/∂t from the signals of inflow and outlet (see [`Coupled`](@ref)),
+e, the volume that belongs to P, P² and the modes, κ, and the constant part of P.
+"""
+function left_over!(left, q, outlet, shown, total, kappa, offset)
+    @inbounds @simd for t in eachindex(shown)
+        q0, q1, q2 = q[t, 1], q[t, 2], q[t, 3]
+        d0, d1, d2 = outlet[t, 1], outlet[t, 2], outlet[t, 3]
+        p, p1 = outlet[t, 4] + offset, outlet[t, 5]
+        forward = goes_forward(q0, d0)
+        (s1, s2, s3) = square_rates(q0, q1, d0, d1)
+        squares =
+            ifelse(forward, total[7], total[10]) * s1 +
+            ifelse(forward, total[8], total[11]) * s2 +
+            ifelse(forward, total[9], total[12]) * s3
+        filling =
+            total[1] * p1 +
+            total[2] * (2 * p * p1) +
+            total[3] * q1 +
+            total[4] * d1 +
+            total[5] * q2 +
+            total[6] * d2 +
+            squares
+        left[t] = shown[t] * d0 - kappa * filling
+    end
+    return nothing
+end
+
+"""
+    advance!(y_hat, left, solve)
+
+Add to the harmonics of the outlet flow what was left over, solved for; return the sum of the
+amplitudes, which no signal exceeds.
+"""
+function advance!(y_hat, left::Waves, solve)
+    amplitudes = zero(eltype(left.signals))
+    @inbounds for k in eachindex(y_hat)
+        step = solve[k] * complex(left.real[k], left.imaginary[k])
+        y_hat[k] += step
+        # All harmonics but the mean stand for two.
+        amplitudes += (k == 1 ? 1 : 2) * sqrt(abs2(step))
+    end
+    return amplitudes
+end
+
+"""
+    functions_of_time!(coupled, g, kappa, offset)
+
+Fill `flow`, `area` and `reverses` from the signals of inflow and outlet.
+"""
+function functions_of_time!(coupled::Coupled, g, kappa, offset)
+    (; flow, area) = coupled
+    q, outlet = coupled.inflow.signals, coupled.outlet.signals
+    coupled.reverses = false
+    @inbounds for t in eachindex(g)
+        inflow, stored = (q[t, 1], q[t, 2], q[t, 3]), (outlet[t, 1], outlet[t, 2], outlet[t, 3])
+        p, p_rate = outlet[t, 4] + offset, outlet[t, 5]
+        modes, rates = modes_in_time(inflow, stored)
+        storage = -kappa * (1 - g[t])
+        fill_column!(flow, t, (inflow[1], (storage .* (p_rate, 2 * p * p_rate, rates...))...))
+        fill_column!(area, t, (p^2, one(p), p, modes...))
+        goes_forward(inflow[1], stored[1]) || (coupled.reverses = true)
+    end
+    return nothing
+end
+
+@inline function fill_column!(matrix, column, values::NTuple{N, Any}) where {N}
+    ntuple(row -> @inbounds(matrix[row, column] = values[row]), Val(N))
+    return nothing
+end
+
+"""
+    fields!(flow, area, pressure, coupled, vessel)
+
+Flow (mL/s), area (cm²) and pressure (dyn/cm²) of one case, each (z, time): sums of products
+of functions of z and of time.
+"""
+function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes)
+    # Modes of reversed flow, the last, are zero where there is none.
+    used = 1:(3 + N_MODES - (coupled.reverses ? 0 : N_SQUARES))
+    mean = coupled.mean_pressure
+    @views begin
+        mul!(
+            flow,
+            at_mean(vessel.flow[:, used], vessel.flow_slope, mean),
+            coupled.flow[used, :],
+        )
+        mul!(
+            area,
+            at_mean(vessel.area[:, used], vessel.area_slope, mean),
+            coupled.area[used, :],
+        )
+        used = 1:(last(used) - 1)
+        mul!(pressure, vessel.pressure[:, used], coupled.area[used .+ 1, :])
+    end
+    return nothing
+end
+
+"""
+    at_mean(functions, slope, mean)
+
+A vessel's functions of z, (z, function), at this mean of P: those after the first three
+belong to the modes, whose `slope` (z, mode) it multiplies.
+"""
+function at_mean(functions, slope, mean)
+    at = Matrix(functions)
+    @inbounds for mode in 1:(size(at, 2) - 3), i in axes(at, 1)
+        at[i, 3 + mode] += mean * slope[i, mode]
+    end
+    return at
 end

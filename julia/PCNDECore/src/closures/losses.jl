@@ -110,22 +110,32 @@ function modes_in_space(c::Coefficients, share, z)
 end
 
 """
-    modes_in_time!(modes, rates, inflow, stored)
+    modes_in_time(inflow, stored)
 
 The functions of time at one instant, and their rates, ten each: q, d, ∂q/∂t, ∂d/∂t, then
 q², q·d, d² where the flow goes forward, then the same where it goes back. Its direction is
 that in the middle of the storage, q − d/2. `inflow` and `stored` are q and d with their
 first and second rates.
 """
-function modes_in_time!(modes, rates, inflow, stored)
+@inline function modes_in_time(inflow, stored)
     (q, q1, q2), (d, d1, d2) = inflow, stored
-    first = q - d / 2 >= 0 ? 5 : 5 + N_SQUARES
-    modes[1], modes[2], modes[3], modes[4] = q, d, q1, d1
-    rates[1], rates[2], rates[3], rates[4] = q1, d1, q2, d2
-    modes[5:end] .= 0
-    rates[5:end] .= 0
-    modes[first], modes[first + 1], modes[first + 2] = q * q, q * d, d * d
-    rates[first], rates[first + 1] = 2 * q * q1, q1 * d + q * d1
-    rates[first + 2] = 2 * d * d1
-    return nothing
+    squares, rates = (q * q, q * d, d * d), square_rates(q, q1, d, d1)
+    forward, none = goes_forward(q, d), zero(d)
+    directed(products) =
+        (ifelse.(forward, products, none)..., ifelse.(forward, none, products)...)
+    return (q, d, q1, d1, directed(squares)...), (q1, d1, q2, d2, directed(rates)...)
 end
+
+"""
+    square_rates(q, q1, d, d1)
+
+∂/∂t of q², q·d and d², from q and d with their rates.
+"""
+square_rates(q, q1, d, d1) = (2 * q * q1, q1 * d + q * d1, 2 * d * d1)
+
+"""
+    goes_forward(flow, stored)
+
+Whether the flow in the middle of the storage, q − d/2, is not reversed.
+"""
+goes_forward(flow, stored) = flow - stored / 2 >= 0

@@ -40,52 +40,96 @@ end
     Harmonics(n_times, period)
 
 The discrete Fourier transform of real signals as two matrices, which few instants make as
-fast as a fast one, and which take the derivative's numbers as they are.
+fast as a fast one, and which take the derivative's numbers as they are. A signal is the sum
+of an even part, of the cosines, and an odd one, of the sines: half of the cycle is enough.
 
   - `omega`: [`frequencies`](@ref), rad/s.
-  - `analysis`: (time, 2·harmonic), to the real and then the imaginary parts.
-  - `synthesis`: (2·harmonic, time), back.
+  - `cosine`, `sine`: at the instants of the first half, (time, harmonic).
+  - `share`: of each harmonic in the signal; all but the mean and Nyquist's stand for two.
+  - `n_times`: instants of the cycle.
 """
 struct Harmonics
     omega::Vector{Float64}
-    analysis::Matrix{Float64}
-    synthesis::Matrix{Float64}
+    cosine::Matrix{Float64}
+    sine::Matrix{Float64}
+    share::Vector{Float64}
+    n_times::Int
 end
 
 function Harmonics(n_times::Integer, period::Real)
     omega = frequencies(n_times, period)
-    orders, instants = 0:(length(omega) - 1), 0:(n_times - 1)
-    turn = cispi.(2 .* instants ./ n_times)
-    waves = [turn[mod(k * t, n_times) + 1] for k in orders, t in instants]
-    cosine, sine = real.(waves), imag.(waves)
-    # All harmonics but the mean and Nyquist's stand for two of a real signal.
-    weight = [k == 0 || 2k == n_times ? 1.0 : 2.0 for k in orders] ./ n_times
-    return Harmonics(omega, [cosine' -sine'], [weight .* cosine; -weight .* sine])
+    orders = instants = 0:(n_times ÷ 2)
+    turn = cispi.(2 .* (0:(n_times - 1)) ./ n_times)
+    waves = [turn[mod(k * t, n_times) + 1] for t in instants, k in orders]
+    share = [k == 0 || 2k == n_times ? 1.0 : 2.0 for k in orders] ./ n_times
+    return Harmonics(omega, real.(waves), imag.(waves), share, n_times)
 end
 
 """
-    spectrum(harmonics, signal)
+    Waves(T, harmonics, n_signals)
 
-Complex harmonics of a real signal (time), as of `rfft`.
+Room for some real signals and their harmonics.
+
+  - `signals`: (time, signal).
+  - `real`, `imaginary`: parts of their harmonics, (harmonic, signal).
+  - `even`, `odd`: parts of the signals in the first half of the cycle, (time, signal).
 """
-function spectrum(harmonics::Harmonics, signal::Vector)
-    parts = times(reshape(signal, 1, :), harmonics.analysis)
+struct Waves{T}
+    signals::Matrix{T}
+    real::Matrix{T}
+    imaginary::Matrix{T}
+    even::Matrix{T}
+    odd::Matrix{T}
+end
+
+function Waves(::Type{T}, harmonics::Harmonics, n_signals) where {T}
     n = length(harmonics.omega)
-    return [complex(parts[k], parts[n + k]) for k in 1:n]
+    room(rows) = zeros(T, rows, n_signals)
+    return Waves(room(harmonics.n_times), room(n), room(n), room(n), room(n))
 end
 
 """
-    signals(harmonics, spectra)
+    analyse!(waves, harmonics)
 
-The real signals of some spectra, (signal, time), as of `irfft`.
+Fill `real` and `imaginary` with the harmonics of the signals, as of `rfft`.
 """
-function signals(harmonics::Harmonics, spectra::Vector{Vector{Complex{T}}}) where {T}
-    n = length(harmonics.omega)
-    parts = Matrix{T}(undef, length(spectra), 2n)
-    for (row, spectrum) in enumerate(spectra), k in 1:n
-        parts[row, k], parts[row, n + k] = reim(spectrum[k])
+function analyse!(waves::Waves, harmonics::Harmonics)
+    (; signals, even, odd) = waves
+    (; cosine, sine, n_times) = harmonics
+    @inbounds for signal in axes(signals, 2)
+        even[1, signal], odd[1, signal] = signals[1, signal], 0
+        for t in 2:size(even, 1)
+            after, before = signals[t, signal], signals[n_times + 2 - t, signal]
+            even[t, signal], odd[t, signal] = after + before, before - after
+        end
+        # The instant in the middle of the cycle is its own mirror image.
+        iseven(n_times) && (even[end, signal] /= 2)
     end
-    return times(parts, harmonics.synthesis)
+    times!(waves.real, cosine', even)
+    times!(waves.imaginary, sine', odd)
+    return nothing
+end
+
+"""
+    synthesise!(waves, harmonics)
+
+Fill the signals from `real` and `imaginary`, as of `irfft`; these are used up.
+"""
+function synthesise!(waves::Waves, harmonics::Harmonics)
+    (; signals, even, odd) = waves
+    (; cosine, sine, share, n_times) = harmonics
+    waves.real .*= share
+    waves.imaginary .*= share
+    times!(even, cosine, waves.real)
+    times!(odd, sine, waves.imaginary)
+    @inbounds for signal in axes(signals, 2)
+        signals[1, signal] = even[1, signal]
+        @simd for t in 2:size(even, 1)
+            signals[t, signal] = even[t, signal] - odd[t, signal]
+            signals[n_times + 2 - t, signal] = even[t, signal] + odd[t, signal]
+        end
+    end
+    return nothing
 end
 
 """
@@ -94,23 +138,27 @@ end
 ∂f/∂t of periodic signals (signal, time), exact for their Fourier series.
 """
 function rate(harmonics::Harmonics, signals::AbstractMatrix{Float64})
-    (; omega, analysis, synthesis) = harmonics
-    n = length(omega)
-    cosine, sine = synthesis[1:n, :], synthesis[(n + 1):end, :]
+    waves = Waves(Float64, harmonics, size(signals, 1))
+    permutedims!(waves.signals, signals, (2, 1))
+    analyse!(waves, harmonics)
+    (; real, imaginary) = waves
     # iω·(a + ib) = −ωb + iωa.
-    derivative = analysis * [omega .* sine; -omega .* cosine]
-    return signals * derivative
+    real[:, :], imaginary[:, :] = .-harmonics.omega .* imaginary, harmonics.omega .* real
+    synthesise!(waves, harmonics)
+    return permutedims(waves.signals)
 end
 
 """
-    times(a, b)
+    times!(product, a, b)
 
-`a * b` by BLAS, for numbers with derivatives too: each of their parts is a row of its own.
+`product = a * b` by BLAS, for numbers with derivatives too: each of their parts makes
+columns of its own.
 """
-times(a::Matrix{Float64}, b::Matrix{Float64}) = a * b
+times!(product::Matrix{Float64}, a, b::Matrix{Float64}) = mul!(product, a, b)
 
-function times(a::Matrix{<:Dual}, b::Matrix{Float64})
-    product = similar(a, size(a, 1), size(b, 2))
-    mul!(reinterpret(Float64, product), reinterpret(Float64, a), b)
+function times!(product::Matrix{T}, a, b::Matrix{T}) where {T <: Dual}
+    parts = permutedims(reinterpret(reshape, Float64, b), (2, 3, 1))
+    found = reshape(a * reshape(parts, size(b, 1), :), size(product)..., :)
+    permutedims!(reinterpret(reshape, Float64, product), found, (3, 1, 2))
     return product
 end
