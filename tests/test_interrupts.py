@@ -1,6 +1,7 @@
 """Ctrl-C where Python drops it: in ``__del__`` and in callbacks of weak references."""
 
 import signal
+import sys
 import threading
 
 import pytest
@@ -10,8 +11,11 @@ from pcnde_bridge import PCNDE, interrupts
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
-def test_python_drops_it(drop_ctrl_c):
-    drop_ctrl_c()  # or these tests would show nothing
+def test_python_drops_it(drop_ctrl_c, monkeypatch):
+    dropped = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda given: dropped.append(given.exc_type))
+    drop_ctrl_c()
+    assert dropped == [KeyboardInterrupt]
 
 
 def test_a_dropped_one_is_raised_by_the_next_look(drop_ctrl_c):

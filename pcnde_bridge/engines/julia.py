@@ -611,33 +611,33 @@ class JuliaStage(Generic[InputsT]):
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
-        loss, gradient = self._julia.call(
-            "loss_and_gradient",
-            self._name,
-            parameters,
-            _arrays(inputs),
-            target,
-            grid.z,
-            float(grid.period),
-            config,
-        )
+        args = parameters, inputs, target, grid, config
+        loss, gradient = self._compare("loss_and_gradient", *args)
         return float(loss), gradient
 
     def losses(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
-        result: Array = self._julia.call(
-            "losses",
-            self._name,
-            parameters,
-            _arrays(inputs),
-            target,
-            grid.z,
-            float(grid.period),
-            config,
-        )
+        result: Array = self._compare("losses", parameters, inputs, target, grid, config)
         return result
+
+    def _compare(
+        self,
+        function: str,
+        parameters: Array,
+        inputs: InputsT,
+        target: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+        *more: Any,
+    ) -> Any:
+        """Call what compares the stage's result with a target."""
+        where = grid.z, float(grid.period)
+        arrays = _arrays(inputs)
+        return self._julia.call(
+            function, self._name, parameters, arrays, target, *where, config, *more
+        )
 
     def objective(
         self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
@@ -682,17 +682,9 @@ class JuliaStage(Generic[InputsT]):
                 if on_iteration is not None:
                     on_iteration(int(number), float(loss))
 
-            fitted, losses, converged, message = self._julia.call(
-                "fit",
-                self._name,
-                parameters,
-                _arrays(inputs),
-                target,
-                grid.z,
-                float(grid.period),
-                config,
-                iterations,
-                after_iteration,
+            args = parameters, inputs, target, grid, config
+            fitted, losses, converged, message = self._compare(
+                "fit", *args, iterations, after_iteration
             )
         return Fit(fitted, losses, bool(converged), str(message))
 
