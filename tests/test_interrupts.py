@@ -1,4 +1,6 @@
-"""Ctrl-C where Python drops it: in ``__del__`` and in callbacks of weak references."""
+"""Ctrl-C where Python drops it, in ``__del__`` and in callbacks of weak references, or where a
+library makes another error of it.
+"""
 
 import signal
 import sys
@@ -6,7 +8,8 @@ import threading
 
 import pytest
 
-from pcnde_bridge import PCNDE, interrupts
+from pcnde_bridge import PCNDE, PCNDEConfig, interrupts
+from pcnde_bridge.precision import double_precision
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
@@ -33,6 +36,38 @@ def test_a_dropped_one_is_raised_at_the_end_if_nobody_looks(drop_ctrl_c):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_another_error_that_was_made_of_it_is_a_ctrl_c_again():
+    with pytest.raises(KeyboardInterrupt) as caught, interrupts.kept():
+        _make_value_error_of_ctrl_c()
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_another_error_without_one_is_left_alone():
+    with pytest.raises(ValueError, match="ours"), interrupts.kept():
+        raise ValueError("ours")
+
+
+def test_one_inside_another_shares_its_watch(drop_ctrl_c):
+    with pytest.raises(KeyboardInterrupt), interrupts.kept():
+        try:
+            with interrupts.kept():
+                drop_ctrl_c()
+        except KeyboardInterrupt:
+            pass
+        else:
+            pytest.fail("The inner one lost it.")
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def _make_value_error_of_ctrl_c():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as error:
+        raise ValueError("comparing settings") from error
+
+
 def test_without_one_nothing_is_raised():
     with interrupts.kept() as look:
         look()
@@ -49,6 +84,51 @@ def test_another_answer_to_ctrl_c_is_left_alone():
     finally:
         signal.signal(signal.SIGINT, before)
     assert heard == ["one"]
+
+
+class _PressesCtrlC:
+    """A setting that JAX compares by this, as it does with a function's static arguments."""
+
+    def __init__(self, press):
+        self.press = press
+
+    def __hash__(self):
+        return 1
+
+    def __eq__(self, other):
+        if self.press:
+            signal.raise_signal(signal.SIGINT)
+        return self is other
+
+
+def test_ctrl_c_while_jax_compares_settings():
+    jax = pytest.importorskip("jax")
+    work = jax.jit(lambda x, setting: x + 1, static_argnames="setting")
+    work(1.0, setting=_PressesCtrlC(False))
+    with pytest.raises(ValueError, match="KeyboardInterrupt"):
+        work(1.0, setting=_PressesCtrlC(True))
+    with pytest.raises(KeyboardInterrupt), double_precision():
+        work(1.0, setting=_PressesCtrlC(False))
+        work(1.0, setting=_PressesCtrlC(True))
+
+
+def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, toy_config, tmp_path, monkeypatch):
+    """As it once happened; the state of training is kept, and a task is not tried again."""
+    compare, calls = PCNDEConfig.__eq__, []
+
+    def interrupted(self, other):
+        calls.append(1)
+        if len(calls) == 30:
+            signal.raise_signal(signal.SIGINT)
+        return compare(self, other)
+
+    monkeypatch.setattr(PCNDEConfig, "__eq__", interrupted)
+    path = tmp_path / "run"
+    config, cases = toy_config, small_cases
+    with pytest.raises(KeyboardInterrupt):
+        PCNDE.fit(cases, config, "jax", checkpoint=path, progress=False)
+    assert len(calls) == 30
+    assert path.exists()
 
 
 @pytest.mark.parametrize("listening", [True, False])
