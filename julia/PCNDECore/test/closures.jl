@@ -8,11 +8,12 @@ const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
 const correction = [1.3; 0.8; 1e6; 1.0; randn(MersenneTwister(5), 17)]
 const with_hidden = ClosureConfig(correction = CorrectionClosure(hidden = [4]))
 function predicted(
-    θ = correction; cases = 1:n_cases, config = with_hidden, tube = wall, period = 1.0,
+    θ = correction;
+    cases = 1:n_cases, config = with_hidden, law = outlet, tube = wall, period = 1.0,
 )
     results = ntuple(_ -> Array{Float64}(undef, n_points, n_times, length(cases)), 3)
     inputs = data.inflow[:, cases], data.area_undeformed[:, cases]
-    parameters, shift = (outlet, losses, tube, θ), zeros(length(cases))
+    parameters, shift = (law, losses, tube, θ), zeros(length(cases))
     predict_closures!(results..., parameters, shift, inputs..., z, period, config)
     return results
 end
@@ -26,7 +27,7 @@ end
         waves.signals .= [signal reverse(signal)]
         analyse!(waves, harmonics)
         spectrum = complex.(waves.real[:, 1], waves.imaginary[:, 1])
-        @test spectrum[[1, 2, 4]] ≈ n .* [2, 0.5, 1.5im] && norm(spectrum[5:end]) < 1e-12
+        @test spectrum[[1, 2, 4]] ≈ [2, 1, 3im] && norm(spectrum[5:end]) < 1e-12
         waves.signals .= 0
         synthesise!(waves, harmonics)
         @test waves.signals ≈ [signal reverse(signal)]
@@ -106,6 +107,13 @@ end
     @test maximum(abs, predicted(tube = [2e6; wall[2:end]])[2] .- area) > 1e-4
     @test maximum(abs, predicted(period = 0.5)[1] .- flow) > 1e-3
     @test predicted() == (flow, area, pressure)
+    # An outlet with and without frequencies, which is computed in two ways.
+    for compliance in (0.0, 1e-17)
+        same = predicted(law = [4e4, 6e4, compliance, 5e3])
+        @test all(isapprox.(same, (flow, area, pressure); rtol = 1e-11))
+    end
+    delayed = predicted(law = [4e4, 6e4, 1e-6, 5e3])
+    @test maximum(abs, delayed[1] .- flow) > 1e-3
     few = ClosureConfig(correction = CorrectionClosure(hidden = [4], passes = 1))
     @test_throws SolveError predicted(config = few)
 end

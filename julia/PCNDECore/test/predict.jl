@@ -63,3 +63,18 @@ end
     end
     @test_throws SolveError PCNDECore.over_cases(_ -> throw(SolveError("no")), 5)
 end
+
+@testset "past the cache" begin
+    source = randn(MersenneTwister(1), 60)
+    # Every place in a line of the cache, for either, with and without whole lines between.
+    for n in 0:25, at in 1:8, from in 1:8
+        target = fill(NaN, 40)
+        PCNDECore.copy_past_cache!(
+            view(target, at:(at + n - 1)),
+            view(source, from:(from + n - 1)),
+        )
+        @test target[at:(at + n - 1)] == source[from:(from + n - 1)]
+        @test count(isnan, target) == 40 - n
+    end
+    @test_throws DimensionMismatch PCNDECore.copy_past_cache!(zeros(3), zeros(4))
+end

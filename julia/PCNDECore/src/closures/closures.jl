@@ -6,7 +6,7 @@ Largest change of the last coupling pass, relative to the largest inflow.
 const ACCEPTED = 1e-4
 
 """
-Change of Q(L), relative to the largest inflow, below which a prediction's passes end.
+A prediction makes no more pass that would change Q(L) by less, relative to the largest inflow.
 """
 const SETTLED = 1e-9
 
@@ -105,7 +105,7 @@ Q, mL/s, (point, time, case), of all coupled, as a function of the correction's 
 `points` are positions in z.
 """
 struct FlowClosure
-    outlet::Vector{Float64}
+    outlet::OutletLaw
     wall::Vector{Float64}
     vessels::Vector{VesselModes}
     inflow::Matrix{Float64}
@@ -118,13 +118,14 @@ function FlowClosure(
     outlet, losses, wall, inflow, area_undeformed, points, z, period, config::ClosureConfig,
 )
     vessels = Vessels(wall, losses, z, config)
+    harmonics = Harmonics(size(inflow, 1), period)
     return FlowClosure(
-        outlet,
+        OutletLaw(outlet, harmonics.omega),
         wall,
         [vessels(area_undeformed[:, case]) for case in axes(area_undeformed, 2)],
         inflow,
         points,
-        Harmonics(size(inflow, 1), period),
+        harmonics,
         config.correction,
     )
 end
@@ -133,11 +134,11 @@ function (closure::FlowClosure)(parameters::Vector{T}) where {T}
     (; outlet, wall, vessels, inflow, points, harmonics, settings) = closure
     flow = Array{T}(undef, length(points), size(inflow)...)
     over_cases(size(inflow, 2)) do cases
-        coupled = Coupled(T, harmonics)
+        coupled, in_z = Coupled(T, harmonics), similar(first(vessels).flow)
         for case in cases
             q, vessel = inflow[:, case], vessels[case]
             couple!(coupled, outlet, wall, parameters, 0.0, vessel, q, harmonics, settings)
-            in_z = at_mean(vessel.flow, vessel.flow_slope, coupled.mean_pressure)
+            at_mean!(in_z, vessel.flow, vessel.flow_slope, coupled.mean_pressure)
             flow[:, :, case] .= in_z[points, :] * coupled.flow
         end
     end
@@ -220,12 +221,13 @@ function predict_closures!(
     flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period,
     config::ClosureConfig,
 )
-    outlet, losses, wall, correction = parameters
+    outlet_parameters, losses, wall, correction = parameters
     n_times, n_cases = size(inflow)
     harmonics = remembered_harmonics(n_times, period)
+    outlet = OutletLaw(outlet_parameters, harmonics.omega)
     vessels = remembered_vessels(wall, losses, z, config)
     over_cases(n_cases) do cases
-        coupled = Coupled(Float64, harmonics)
+        coupled, room = Coupled(Float64, harmonics), FieldsRoom(length(z), n_times)
         for case in cases
             vessel, q = vessels(area_undeformed[:, case]), inflow[:, case]
             couple!(
@@ -235,7 +237,7 @@ function predict_closures!(
             coupled.change <= ACCEPTED * maximum(abs, q) ||
                 throw(unsettled(case, config.correction.passes))
             @views fields!(
-                flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel,
+                flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel, room,
             )
         end
     end

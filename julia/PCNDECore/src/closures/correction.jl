@@ -33,11 +33,13 @@ function hidden_share(parameters, pressure_rate, flow, shift, hidden)
     x[1, :] .= pressure_rate ./ u_scale
     x[2, :] .= flow ./ y_scale
     at, n = 4, 2
-    for (layer, m) in enumerate((hidden..., 1))
-        weight = reshape(parameters[(at + 1):(at + n * m)], m, n)
-        bias = parameters[(at + n * m + 1):(at + (n + 1) * m)]
-        x = weight * x .+ bias
-        layer <= length(hidden) && (x = tanh.(x))
+    for layer in 1:(length(hidden) + 1)
+        last = layer > length(hidden)
+        m = last ? 1 : hidden[layer]
+        @views weight = reshape(parameters[(at + 1):(at + n * m)], m, n)
+        @views bias = parameters[(at + n * m + 1):(at + (n + 1) * m)]
+        x = weight * x
+        x .= last ? x .+ bias : tanh.(x .+ bias)
         at, n = at + (n + 1) * m, m
     end
     return ceiling .* NNlib.sigmoid.(vec(x) .+ shift)

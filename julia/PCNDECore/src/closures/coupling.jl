@@ -63,13 +63,26 @@ function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
 end
 
 """
-    impedance(outlet, omega)
+    OutletLaw(parameters, omega)
 
-𝒵(ω) = R₁ + R₂/(1 + iωR₂C) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵.
+p(L) = p_d + 𝒵 Q(L) with 𝒵(ω) = R₁ + R₂/(1 + iωR₂C); `parameters` are R₁, R₂, C, p_d.
+
+  - `impedance`: 𝒵, dyn·s/cm⁵, and `rate`: iω𝒵, (harmonic).
+  - `resistance`: 𝒵 if it is the same for all, else NaN.
+  - `distal_pressure`: p_d, dyn/cm².
 """
-function impedance(outlet, omega)
-    r1, r2, compliance, _ = outlet
-    return r1 .+ r2 ./ (1 .+ im .* omega .* r2 .* compliance)
+struct OutletLaw
+    impedance::Vector{ComplexF64}
+    rate::Vector{ComplexF64}
+    resistance::Float64
+    distal_pressure::Float64
+end
+
+function OutletLaw(parameters, omega)
+    r1, r2, compliance, distal_pressure = parameters
+    impedance = r1 .+ r2 ./ (1 .+ im .* omega .* r2 .* compliance)
+    resistance = r2 * compliance == 0 ? r1 + r2 : NaN
+    return OutletLaw(impedance, im .* omega .* impedance, resistance, distal_pressure)
 end
 
 """
@@ -85,8 +98,11 @@ The functions of time of one case, which [`couple!`](@ref) finds; k as in
   - `mean_pressure`: the mean of P that the inflow gives.
   - `change`: no change of Q(L) in the last pass was larger, mL/s.
   - `reverses`: whether some flow goes back; else the last three modes are zero.
-  - `inflow`: q with its two rates, then the passive tube's ∂P/∂t and Q(L); `outlet`: d with
-    its two rates, P without its constant part, and ∂P/∂t; `left`: what a pass has left over.
+  - `inflow`: q with its two rates, then the passive tube's ∂P/∂t and Q(L); `stored`: d with
+    its two rates; `pressure`: P without its constant part, and ∂P/∂t; `left`: what a pass
+    has left over.
+  - `inflow_harmonics`, `outlet_flow`: of q and Q(L), and `solve`: a pass multiplies by it
+    what is left over, (harmonic).
 """
 mutable struct Coupled{T}
     const flow::Matrix{T}
@@ -95,14 +111,19 @@ mutable struct Coupled{T}
     change::T
     reverses::Bool
     const inflow::Waves{T}
-    const outlet::Waves{T}
+    const stored::Waves{T}
+    const pressure::Waves{T}
     const left::Waves{T}
+    const inflow_harmonics::Vector{Complex{T}}
+    const outlet_flow::Vector{Complex{T}}
+    const solve::Vector{Complex{T}}
 end
 
 function Coupled(::Type{T}, harmonics::Harmonics) where {T}
-    room() = Matrix{T}(undef, 3 + N_MODES, harmonics.n_times)
-    waves = (Waves(T, harmonics, n_signals) for n_signals in (5, 5, 1))
-    return Coupled(room(), room(), NaN, T(NaN), false, waves...)
+    functions() = Matrix{T}(undef, 3 + N_MODES, harmonics.n_times)
+    waves = (Waves(T, harmonics, n_signals) for n_signals in (5, 3, 2, 1))
+    spectra = (Vector{Complex{T}}(undef, length(harmonics.omega)) for _ in 1:3)
+    return Coupled(functions(), functions(), NaN, T(NaN), false, waves..., spectra...)
 end
 
 """
@@ -113,109 +134,148 @@ Find the outlet flow of one case, and all functions of time with it.
 
 # Arguments
 
-  - `outlet`, `wall`, `correction`: parameters; `shift`: see [`hidden_share`](@ref).
+  - `outlet`: [`OutletLaw`](@ref) of these harmonics.
+  - `wall`, `correction`: parameters; `shift`: see [`hidden_share`](@ref).
   - `vessel`: its [`VesselModes`](@ref).
   - `inflow`: Q_in, mL/s, (time).
   - `harmonics`: [`Harmonics`](@ref) of these instants.
   - `settings`: a [`CorrectionClosure`](@ref).
-  - `tolerance`: passes end once one changes Q(L) by less, relative to the largest inflow;
-    with 0 all passes are made, as derivatives need it.
+  - `tolerance`: passes end once the next would change Q(L) by less, relative to the largest
+    inflow, if it changed it as much less as the last one did; with 0 all passes are made, as
+    derivatives need it.
 """
 function couple!(
-    coupled::Coupled{T}, outlet, wall, correction::Vector{T}, shift, vessel::VesselModes,
-    inflow, harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
+    coupled::Coupled{T}, outlet::OutletLaw, wall, correction::Vector{T}, shift,
+    vessel::VesselModes, inflow, harmonics::Harmonics, settings::CorrectionClosure,
+    tolerance::Float64 = 0.0,
 ) where {T}
-    turned = im .* harmonics.omega
-    z_outlet = impedance(outlet, harmonics.omega)
     kappa = storage_factor(correction)
-    offset = outlet[4] - wall[end]
+    offset = outlet.distal_pressure - wall[end]
     mean_flow = sum(inflow) / length(inflow)
-    mean_pressure = real(z_outlet[1]) * mean_flow + offset
+    mean_pressure = real(outlet.impedance[1]) * mean_flow + offset
     total = [
         vessel.flow[end, 1 + k] + (k > 2 ? mean_pressure * vessel.flow_slope[end, k - 2] : 0)
         for k in 1:(2 + N_MODES)
     ]
-
-    coupled.left.signals[:, 1] = inflow
-    analyse!(coupled.left, harmonics)
-    @views q_hat = complex.(coupled.left.real[:, 1], coupled.left.imaginary[:, 1])
-    passive = q_hat ./ (1 .+ kappa .* total[1] .* turned .* z_outlet)
-    set!(coupled.inflow, 1, q_hat)
-    set!(coupled.inflow, 2, turned .* q_hat)
-    set!(coupled.inflow, 3, turned .^ 2 .* q_hat)
-    set!(coupled.inflow, 4, turned .* z_outlet .* passive)
-    set!(coupled.inflow, 5, passive)
-    synthesise!(coupled.inflow, harmonics)
+    linearise!(coupled, outlet, total, kappa, inflow, mean_flow, mean_pressure, harmonics)
     q = coupled.inflow.signals
     q[:, 1] = inflow
     @views g = hidden_share(correction, q[:, 4], q[:, 5], shift, settings.hidden)
     shown = 1 ./ (1 .- g)
+    coupled.solve .= inverse.(sum(shown) / length(shown) .+ coupled.solve)
 
-    # Of the modes d, ∂d/∂t and q·d, which come with −y.
-    of_stored, of_rate = total[4], total[6]
-    of_product = mean_flow >= 0 ? total[8] : total[11]
-    linear =
-        turned .* z_outlet .* (total[1] + 2 * mean_pressure * total[2]) .-
-        turned .* (of_stored + of_product * mean_flow .+ turned .* of_rate)
-    solve = 1 ./ (sum(shown) / length(shown) .+ kappa .* linear)
-
-    y_hat, change = passive, T(Inf)
-    settled = tolerance * maximum(abs, inflow)
-    after_outlet!(coupled.outlet, harmonics, q_hat, y_hat, z_outlet)
+    settled, before = tolerance * maximum(abs, inflow), zero(T)
+    after_outlet!(coupled, harmonics, outlet)
     for _ in 1:settings.passes
-        left_over!(coupled.left.signals, q, coupled.outlet.signals, shown, total, kappa, offset)
+        left_over!(coupled, shown, total, kappa, offset)
         analyse!(coupled.left, harmonics)
-        change = advance!(y_hat, coupled.left, solve) / length(inflow)
-        after_outlet!(coupled.outlet, harmonics, q_hat, y_hat, z_outlet)
-        change <= settled && break
+        change = advance!(coupled)
+        after_outlet!(coupled, harmonics, outlet)
+        coupled.change = change
+        change^2 <= settled * max(change, before) && break
+        before = change
     end
-    coupled.mean_pressure, coupled.change = mean_pressure, change
+    coupled.mean_pressure = mean_pressure
     functions_of_time!(coupled, g, kappa, offset)
     return coupled
 end
 
 """
-    set!(waves, signal, spectrum)
+    linearise!(coupled, outlet, total, kappa, inflow, mean_flow, mean_pressure, harmonics)
 
-Put complex harmonics in the place of a signal's.
+Fill the inflow's harmonics and signals, the passive tube's outlet flow, and `solve` with
+κ·A(ω).
 """
-function set!(waves::Waves, signal, spectrum)
-    @inbounds for k in eachindex(spectrum)
-        waves.real[k, signal], waves.imaginary[k, signal] = reim(spectrum[k])
+function linearise!(
+    coupled::Coupled, outlet::OutletLaw, total, kappa, inflow, mean_flow, mean_pressure,
+    harmonics,
+)
+    (; left, inflow_harmonics, outlet_flow, solve) = coupled
+    left.signals[:, 1] = inflow
+    analyse!(left, harmonics)
+    # Of the modes d, ∂d/∂t and q·d, which come with −y.
+    of_stored, of_rate = total[4], total[6]
+    of_product = mean_flow >= 0 ? total[8] : total[11]
+    @inbounds for k in eachindex(solve)
+        turned, rate = im * harmonics.omega[k], outlet.rate[k]
+        q = complex(left.real[k], left.imaginary[k])
+        y = q * inverse(1 + kappa * total[1] * rate)
+        set!(coupled.inflow, k, (q, turned * q, turned^2 * q, rate * y, y))
+        inflow_harmonics[k], outlet_flow[k] = q, y
+        solve[k] =
+            kappa * (
+                rate * (total[1] + 2 * mean_pressure * total[2]) -
+                turned * (of_stored + of_product * mean_flow + turned * of_rate)
+            )
+    end
+    synthesise!(coupled.inflow, harmonics)
+    return nothing
+end
+
+"""
+    inverse(number)
+
+1 / number of a complex number of moderate size, without the care that others need.
+"""
+inverse(number) = conj(number) / abs2(number)
+
+"""
+    set!(waves, harmonic, values)
+
+Put a complex number for each signal in the place of this harmonic.
+"""
+@inline function set!(waves::Waves, harmonic, values::NTuple{N, Any}) where {N}
+    ntuple(Val(N)) do signal
+        @inbounds waves.real[harmonic, signal] = real(values[signal])
+        @inbounds waves.imaginary[harmonic, signal] = imag(values[signal])
+        nothing
     end
     return nothing
 end
 
 """
-    after_outlet!(waves, harmonics, q_hat, y_hat, z_outlet)
+    after_outlet!(coupled, harmonics, outlet)
 
-Fill the signals of the outlet from the harmonics of the inflow and of the outlet flow.
+Fill the signals of what is stored and of the pressure from the harmonics of inflow and
+outlet flow.
 """
-function after_outlet!(waves::Waves, harmonics::Harmonics, q_hat, y_hat, z_outlet)
-    (; real, imaginary) = waves
-    @inbounds for k in eachindex(y_hat)
-        omega, d, p = harmonics.omega[k], q_hat[k] - y_hat[k], z_outlet[k] * y_hat[k]
-        real[k, 1], imaginary[k, 1] = reim(d)
-        real[k, 2], imaginary[k, 2] = reim(im * omega * d)
-        real[k, 3], imaginary[k, 3] = reim(-omega^2 * d)
-        real[k, 4], imaginary[k, 4] = reim(p)
-        real[k, 5], imaginary[k, 5] = reim(im * omega * p)
+function after_outlet!(coupled::Coupled, harmonics::Harmonics, outlet::OutletLaw)
+    (; inflow_harmonics, outlet_flow, stored, pressure) = coupled
+    @inbounds for k in eachindex(outlet_flow)
+        omega, d = harmonics.omega[k], inflow_harmonics[k] - outlet_flow[k]
+        set!(stored, k, (d, im * omega * d, -omega^2 * d))
     end
-    synthesise!(waves, harmonics)
+    synthesise!(stored, harmonics)
+    if isnan(outlet.resistance)
+        @inbounds for k in eachindex(outlet_flow)
+            y = outlet_flow[k]
+            set!(pressure, k, (outlet.impedance[k] * y, outlet.rate[k] * y))
+        end
+        synthesise!(pressure, harmonics)
+    else
+        q, d, p = coupled.inflow.signals, stored.signals, pressure.signals
+        @inbounds for signal in 1:2
+            @simd for t in axes(p, 1)
+                p[t, signal] = outlet.resistance * (q[t, signal] - d[t, signal])
+            end
+        end
+    end
     return nothing
 end
 
 """
-    left_over!(left, q, outlet, shown, total, kappa, offset)
+    left_over!(coupled, shown, total, kappa, offset)
 
-Fill `left` with e·d − κ·∂V/∂t from the signals of inflow and outlet (see [`Coupled`](@ref)),
-e, the volume that belongs to P, P² and the modes, κ, and the constant part of P.
+Fill `left` with e·d − κ·∂V/∂t, from e, the volume that belongs to P, P² and the modes, κ,
+and the constant part of P.
 """
-function left_over!(left, q, outlet, shown, total, kappa, offset)
+function left_over!(coupled::Coupled, shown, total, kappa, offset)
+    q, stored, pressure = signals(coupled)
+    left = coupled.left.signals
     @inbounds @simd for t in eachindex(shown)
         q0, q1, q2 = q[t, 1], q[t, 2], q[t, 3]
-        d0, d1, d2 = outlet[t, 1], outlet[t, 2], outlet[t, 3]
-        p, p1 = outlet[t, 4] + offset, outlet[t, 5]
+        d0, d1, d2 = stored[t, 1], stored[t, 2], stored[t, 3]
+        p, p1 = pressure[t, 1] + offset, pressure[t, 2]
         forward = goes_forward(q0, d0)
         (s1, s2, s3) = square_rates(q0, q1, d0, d1)
         squares =
@@ -236,18 +296,26 @@ function left_over!(left, q, outlet, shown, total, kappa, offset)
 end
 
 """
-    advance!(y_hat, left, solve)
+    signals(coupled)
+
+Of the inflow, of what is stored, and of the pressure; see [`Coupled`](@ref).
+"""
+signals(coupled::Coupled) =
+    (coupled.inflow.signals, coupled.stored.signals, coupled.pressure.signals)
+
+"""
+    advance!(coupled)
 
 Add to the harmonics of the outlet flow what was left over, solved for; return the sum of the
 amplitudes, which no signal exceeds.
 """
-function advance!(y_hat, left::Waves, solve)
-    amplitudes = zero(eltype(left.signals))
-    @inbounds for k in eachindex(y_hat)
+function advance!(coupled::Coupled{T}) where {T}
+    (; left, outlet_flow, solve) = coupled
+    amplitudes = zero(T)
+    @inbounds for k in eachindex(outlet_flow)
         step = solve[k] * complex(left.real[k], left.imaginary[k])
-        y_hat[k] += step
-        # All harmonics but the mean stand for two.
-        amplitudes += (k == 1 ? 1 : 2) * sqrt(abs2(step))
+        outlet_flow[k] += step
+        amplitudes += sqrt(abs2(step))
     end
     return amplitudes
 end
@@ -259,11 +327,11 @@ Fill `flow`, `area` and `reverses` from the signals of inflow and outlet.
 """
 function functions_of_time!(coupled::Coupled, g, kappa, offset)
     (; flow, area) = coupled
-    q, outlet = coupled.inflow.signals, coupled.outlet.signals
+    q, d, pressure = signals(coupled)
     coupled.reverses = false
     @inbounds for t in eachindex(g)
-        inflow, stored = (q[t, 1], q[t, 2], q[t, 3]), (outlet[t, 1], outlet[t, 2], outlet[t, 3])
-        p, p_rate = outlet[t, 4] + offset, outlet[t, 5]
+        inflow, stored = (q[t, 1], q[t, 2], q[t, 3]), (d[t, 1], d[t, 2], d[t, 3])
+        p, p_rate = pressure[t, 1] + offset, pressure[t, 2]
         modes, rates = modes_in_time(inflow, stored)
         storage = -kappa * (1 - g[t])
         fill_column!(flow, t, (inflow[1], (storage .* (p_rate, 2 * p * p_rate, rates...))...))
@@ -279,42 +347,50 @@ end
 end
 
 """
-    fields!(flow, area, pressure, coupled, vessel)
+    FieldsRoom(n_points, n_times)
+
+Room for one field, (z, time), and for the functions of z that make it up, (z, 3 + k).
+"""
+struct FieldsRoom
+    field::Matrix{Float64}
+    in_z::Matrix{Float64}
+end
+
+FieldsRoom(n_points::Integer, n_times::Integer) =
+    FieldsRoom(zeros(n_points, n_times), zeros(n_points, 3 + N_MODES))
+
+"""
+    fields!(flow, area, pressure, coupled, vessel, room)
 
 Flow (mL/s), area (cm²) and pressure (dyn/cm²) of one case, each (z, time): sums of products
 of functions of z and of time.
 """
-function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes)
+function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes, room::FieldsRoom)
     # Modes of reversed flow, the last, are zero where there is none.
-    used = 1:(3 + N_MODES - (coupled.reverses ? 0 : N_SQUARES))
-    mean = coupled.mean_pressure
-    @views begin
-        mul!(
-            flow,
-            at_mean(vessel.flow[:, used], vessel.flow_slope, mean),
-            coupled.flow[used, :],
-        )
-        mul!(
-            area,
-            at_mean(vessel.area[:, used], vessel.area_slope, mean),
-            coupled.area[used, :],
-        )
-        used = 1:(last(used) - 1)
-        mul!(pressure, vessel.pressure[:, used], coupled.area[used .+ 1, :])
+    n_used, mean = 3 + N_MODES - (coupled.reverses ? 0 : N_SQUARES), coupled.mean_pressure
+    function write!(field, in_z, in_time, rows)
+        @views mul!(room.field, in_z[:, 1:length(rows)], in_time[rows, :])
+        copy_past_cache!(field, room.field)
     end
+    at_mean!(room.in_z, vessel.flow, vessel.flow_slope, mean)
+    write!(flow, room.in_z, coupled.flow, 1:n_used)
+    at_mean!(room.in_z, vessel.area, vessel.area_slope, mean)
+    write!(area, room.in_z, coupled.area, 1:n_used)
+    write!(pressure, vessel.pressure, coupled.area, 2:n_used)
     return nothing
 end
 
 """
-    at_mean(functions, slope, mean)
+    at_mean!(at, functions, slope, mean)
 
-A vessel's functions of z, (z, function), at this mean of P: those after the first three
-belong to the modes, whose `slope` (z, mode) it multiplies.
+Fill `at` with a vessel's functions of z, (z, function), at this mean of P: those after the
+first three belong to the modes, whose `slope` (z, mode) it multiplies.
 """
-function at_mean(functions, slope, mean)
-    at = Matrix(functions)
-    @inbounds for mode in 1:(size(at, 2) - 3), i in axes(at, 1)
-        at[i, 3 + mode] += mean * slope[i, mode]
+function at_mean!(at, functions, slope, mean)
+    n_other = size(functions, 2) - size(slope, 2)
+    @inbounds for column in axes(functions, 2), i in axes(functions, 1)
+        moved = column > n_other ? mean * slope[i, column - n_other] : 0.0
+        at[i, column] = functions[i, column] + moved
     end
     return at
 end

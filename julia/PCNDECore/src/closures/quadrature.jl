@@ -91,11 +91,11 @@ end
 """
     analyse!(waves, harmonics)
 
-Fill `real` and `imaginary` with the harmonics of the signals, as of `rfft`.
+Fill `real` and `imaginary` with the harmonics of the signals: a + ib for a·cos − b·sin.
 """
 function analyse!(waves::Waves, harmonics::Harmonics)
     (; signals, even, odd) = waves
-    (; cosine, sine, n_times) = harmonics
+    (; cosine, sine, share, n_times) = harmonics
     @inbounds for signal in axes(signals, 2)
         even[1, signal], odd[1, signal] = signals[1, signal], 0
         for t in 2:size(even, 1)
@@ -107,19 +107,19 @@ function analyse!(waves::Waves, harmonics::Harmonics)
     end
     times!(waves.real, cosine', even)
     times!(waves.imaginary, sine', odd)
+    waves.real .*= share
+    waves.imaginary .*= share
     return nothing
 end
 
 """
     synthesise!(waves, harmonics)
 
-Fill the signals from `real` and `imaginary`, as of `irfft`; these are used up.
+Fill the signals from `real` and `imaginary`.
 """
 function synthesise!(waves::Waves, harmonics::Harmonics)
     (; signals, even, odd) = waves
-    (; cosine, sine, share, n_times) = harmonics
-    waves.real .*= share
-    waves.imaginary .*= share
+    (; cosine, sine, n_times) = harmonics
     times!(even, cosine, waves.real)
     times!(odd, sine, waves.imaginary)
     @inbounds for signal in axes(signals, 2)

@@ -41,7 +41,7 @@ _BLOCK = 4096
 """Cases whose vessels are kept at a time."""
 
 _SETTLED = 1e-9
-"""Change of a coupling pass, relative to the largest inflow, after which there is none more."""
+"""No more coupling pass that would change the flow by less, relative to the largest inflow."""
 
 _CONVERGED = 1e-4
 """Largest change of the last coupling pass, relative to the largest inflow."""

@@ -38,8 +38,8 @@ from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_f
 from pcnde_bridge.engines.jax.closures.quadrature import frequencies, from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
 
-_Pass = tuple[jax.Array, jax.Array, jax.Array]
-"""Harmonics of Q(L), the bound of their change, and the number of passes."""
+_Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""Harmonics of Q(L), the bounds of their last change and of that before, number of passes."""
 
 
 class VesselModes(NamedTuple):
@@ -155,11 +155,14 @@ def couple(
     settings : CorrectionClosure
         Hidden layers of the correction and number of coupling passes.
     tolerance : float, optional
-        End once a pass changes Q(L) by less, relative to the largest inflow; without it
-        all passes are made, as derivatives need it.
+        End once the next pass would change Q(L) by less, relative to the largest inflow,
+        if it changed it as much less as the last one did; without it all passes are made,
+        as derivatives need it.
     """
     n_times = inflow.shape[0]
     i_omega = 1j * frequencies(n_times, period)
+    # All harmonics but the mean and Nyquist's stand for two.
+    share = jnp.where(2 * jnp.arange(i_omega.size) % n_times == 0, 1, 2) / n_times
     with_rates = jnp.stack([jnp.ones_like(i_omega), i_omega, i_omega**2])
     z_outlet = impedance(outlet, i_omega.imag)
     with_rate = z_outlet * with_rates[:2]
@@ -202,21 +205,26 @@ def couple(
         return change
 
     def advance(before: _Pass) -> _Pass:
-        harmonics, _, number = before
+        harmonics, last_change, _, number = before
         change = one_pass(harmonics)
-        size = jnp.abs(change)
         # No signal exceeds the sum of its harmonics' amplitudes.
-        return harmonics + change, (2 * jnp.sum(size) - size[0]) / n_times, number + 1
+        largest = jnp.sum(share * jnp.abs(change))
+        return harmonics + change, largest, last_change, number + 1
 
     inflow_signals = signals(with_rates * inflow_harmonics).at[0].set(inflow)
-    first = passive, jnp.full((), jnp.inf), jnp.zeros((), dtype=int)
+    none = jnp.zeros(())
+    first = passive, none, none, jnp.zeros((), dtype=int)
     if tolerance is None:
         last = jax.lax.fori_loop(0, settings.passes, lambda _, b: advance(b), first)
     else:
         settled = tolerance * jnp.max(jnp.abs(inflow))
-        last = jax.lax.while_loop(
-            lambda b: (b[2] < settings.passes) & (b[1] > settled), advance, first
-        )
+
+        def goes_on(last: _Pass) -> jax.Array:
+            _, change, before, number = last
+            unsettled: jax.Array = change**2 > settled * jnp.maximum(change, before)
+            return (number < settings.passes) & ((number == 0) | unsettled)
+
+        last = jax.lax.while_loop(goes_on, advance, first)
     stored, pressure = state(last[0])
     modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
     rates = jnp.stack(volume_rates(tuple(pressure), mode_rates))
