@@ -4,6 +4,7 @@ import dataclasses
 import os
 import signal
 import sys
+import tempfile
 from pathlib import Path
 from typing import ClassVar
 
@@ -25,6 +26,12 @@ from pcnde_bridge.model import PCNDE
 settings.register_profile("suite", max_examples=25, derandomize=True, deadline=None)
 settings.register_profile("long", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
+
+# JAX compiles what the suite's processes share once. The workers inherit the first one's folder.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    _compiled = tempfile.TemporaryDirectory(prefix="pcnde-compiled-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled.name
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 # A shell lets its background jobs ignore Ctrl-C, and they what they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
