@@ -24,6 +24,7 @@ _HARMONICS = 12
 _PLACES = 101
 _KEPT = 1e-3
 _TOLERATED = 0.02
+_TOGETHER = 256  # cases, whose descriptions fit the processor's cache
 
 
 class OutsideTrainingWarning(PCNDEWarning):
@@ -65,22 +66,24 @@ class Novelty:
 
     def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
         """Score of each case's inflow and of its area, (case,) each; beyond 1 is outside."""
-        return (
-            _score(
-                _harmonics(inflow),
+        scores = np.empty((2, len(inflow)))
+        for start in range(0, len(inflow), _TOGETHER):
+            rows = slice(start, start + _TOGETHER)
+            scores[0, rows] = _score(
+                _harmonics(inflow[rows]),
                 self.inflow_centre,
                 self.inflow_axes,
                 self.inflow_range,
                 self.inflow_rest,
-            ),
-            _score(
-                _profile(area_undeformed, z),
+            )
+            scores[1, rows] = _score(
+                _profile(area_undeformed[rows], z),
                 self.area_centre,
                 self.area_axes,
                 self.area_range,
                 self.area_rest,
-            ),
-        )
+            )
+        return scores[0], scores[1]
 
     def inflow_ends(self, n_times: int) -> Array:
         """Both ends of the training inflows along their first component.

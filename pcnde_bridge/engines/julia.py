@@ -430,6 +430,8 @@ class _Julia:
                 f"{self._juliacall.CONFIG['project']}: {self._words(error)}. {_prepare()}"
             ) from error
         self._core = module.PCNDECore
+        # A function's name is looked up once: each time takes as long as calling it.
+        self._function = functools.lru_cache(functools.partial(getattr, self._core))
         found, ours = self.versions()["PCNDECore"], _core_version(julia_sources()) or ""
         if not _compatible(found, ours):
             project = str(self._juliacall.CONFIG["project"])
@@ -441,10 +443,11 @@ class _Julia:
         """Versions of Julia and the packages that compute."""
         return {str(name): str(version) for name, version in self.call("versions").items()}
 
-    def call(self, name: str, *arguments: Any, into: Iterable[Array] = ()) -> Any:
+    def call(self, name: str, *arguments: Any, in_place: Iterable[Array] = ()) -> Any:
         """Call one of PCNDECore's functions; arrays and settings are converted.
 
-        The arrays ``into`` come first: the function fills them where they are.
+        Of the arrays ``in_place`` the function is told, last, where they are; it reads and
+        fills them there, and keeps none.
         """
         if os.getpid() != self._process:
             raise EngineError(
@@ -457,8 +460,9 @@ class _Julia:
                 'one thread, or take engine="jax", which any thread may use.'
             )
         try:
-            results = [self._core.of_python(*_memory(array)) for array in into]
-            result = getattr(self._core, name)(*results, *map(self._to_julia, arguments))
+            arrays = [np.ascontiguousarray(array, dtype=np.float64) for array in in_place]
+            where = [number for array in arrays for number in _memory(array)]
+            result = self._function(name)(*map(self._to_julia, arguments), *where)
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
             failure = self._failure(error)
@@ -469,7 +473,7 @@ class _Julia:
         """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value, dtype=np.float64)
-            return self._core.from_python(*_memory(array))
+            return self._function("from_python")(*_memory(array))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
         if isinstance(value, PCNDEConfig | ClosureConfig):

@@ -64,17 +64,9 @@ class JuliaClosures:
         """See the protocol."""
         shape = len(inflow), inflow.shape[1], grid.z.size
         flow, area, pressure = (self._buffers.empty(shape) for _ in range(3))
-        self._call(
-            "predict_closures_b",
-            tuple(vector for _, vector in parameters),
-            shift,
-            inflow,
-            area_undeformed,
-            grid.z,
-            float(grid.period),
-            config,
-            into=(flow, area, pressure),
-        )
+        vectors = (vector for _, vector in parameters)
+        arrays = flow, area, pressure, *vectors, shift, inflow, area_undeformed, grid.z
+        self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return Solution(flow, area, pressure)
 
     def _problem(

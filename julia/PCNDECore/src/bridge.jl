@@ -185,6 +185,28 @@ function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
 end
 
 """
+    predict_closures(config, period, numbers...)
+
+[`predict_closures!`](@ref) with Python's own arrays, in the order of that function;
+`numbers` are the address and the shape of each. All come in one call, as handing over an
+array on its own takes as long as a part of a prediction.
+"""
+function predict_closures(config::ClosureConfig, period::Float64, numbers::Int...)
+    at = 0
+    function next(dimensions)
+        address, shape... = numbers[(at + 1):(at + 1 + dimensions)]
+        at += 1 + dimensions
+        return of_python(address, shape...)
+    end
+    flow, area, pressure = next(3), next(3), next(3)
+    parameters = next(1), next(1), next(1), next(1)
+    shift, inflow, area_undeformed, z = next(1), next(2), next(2), next(1)
+    return predict_closures!(
+        flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period, config,
+    )
+end
+
+"""
     versions()
 
 Versions of Julia and of the packages that compute.

@@ -391,10 +391,9 @@ function solve_flow(
     flow = similar(area)
     n_points, n_times, n_cases = size(area)
     no_target = zeros(n_points, n_times, 1)
-    over_cases(n_cases) do cases
-        first = cases[1:1]
-        problem = FlowProblem(inflow[:, first], area[:, :, first], no_target, z, stage, terms)
-        for case in cases
+    over_cases(n_cases) do parts
+        problem = FlowProblem(inflow[:, 1:1], area[:, :, 1:1], no_target, z, stage, terms)
+        for part in parts, case in part
             one = case:case
             set_cases!(problem, view(inflow, :, one), @view(area[:, :, one]), no_target)
             integrate!(problem, parameters) || throw(divergence(case))

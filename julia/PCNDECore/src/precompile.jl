@@ -71,8 +71,11 @@
         coupled = (closures[1:3]..., wave, area_undeformed, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)
         results = similar(flow), similar(flow), similar(flow)
-        given = closures, zeros(n_cases), wave, area_undeformed
-        predict_closures!(results..., given..., z, 1.0, chosen)
+        arrays = results..., closures..., zeros(n_cases), wave, area_undeformed, z
+        GC.@preserve arrays begin
+            numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
+            predict_closures(chosen, 1.0, numbers...)
+        end
         versions()
         HELD[] = nothing
     end

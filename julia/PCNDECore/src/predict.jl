@@ -31,9 +31,9 @@ function predict(parameters, inflow, area_undeformed, z, period, passes, config:
     n_times, n_cases, n_points = size(inflow, 1), size(inflow, 2), length(z)
     flow, area, pressure = (zeros(n_points, n_times, n_cases) for _ in 1:3)
     has_pressure = !isempty(parameters[4])
-    over_cases(n_cases) do cases
+    over_cases(n_cases) do parts
         room = PredictionRoom(parameters, n_times, z, period, config)
-        for case in cases
+        for part in parts, case in part
             one = case:case
             q, s, p = @views flow[:, :, one], area[:, :, one], pressure[:, :, one]
             in_ = view(inflow, :, one)

@@ -200,8 +200,8 @@ function solve_temporal_flow(parameters, inflow, initial_flow, period, stage::Te
     (n_times, n_cases), n_points = size(inflow), size(initial_flow, 1)
     flow = zeros(n_points, n_times, n_cases)
     no_target = zeros(n_points, n_times, 1)
-    over_cases(n_cases) do cases
-        for case in cases
+    over_cases(n_cases) do parts
+        for part in parts, case in part
             one = case:case
             problem =
                 TemporalFlow(inflow[:, one], initial_flow[:, one], no_target, period, stage)

@@ -18,3 +18,16 @@
     @test_throws ArgumentError fit("heat", parameters, inputs, data.flow, z, 1.0, config, 2)
     @test PCNDECore.versions()["julia"] == string(VERSION)
 end
+
+@testset "predictions in place" begin
+    vectors = outlet, losses, wall, correction
+    given = zeros(n_cases), data.inflow, data.area_undeformed, z
+    expected, found = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:3) for _ in 1:2)
+    PCNDECore.predict_closures!(expected..., vectors, given..., 1.0, with_hidden)
+    arrays = found..., vectors..., given...
+    GC.@preserve arrays begin
+        numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
+        PCNDECore.predict_closures(with_hidden, 1.0, numbers...)
+    end
+    @test found == expected && all(field -> all(!iszero, field), found)
+end

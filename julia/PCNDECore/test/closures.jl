@@ -1,6 +1,6 @@
 using PCNDECore:
     ClosureConfig, Coefficients, CorrectionClosure, Harmonics, Waves, analyse!, closure,
-    displacement, drop!, hidden_share, jet_area, predict_closures!, rate, solve_banded!,
+    displacement, drop!, hidden_share!, jet_area, predict_closures!, rate, solve_banded!,
     synthesise!
 
 const outlet, losses = [1e5, 0.0, 0.0, 5e3], [1.2, 1.1, 0.9, 0.12]
@@ -74,7 +74,7 @@ end
 
 @testset "correction" begin
     u, y = randn(MersenneTwister(1), 2, 9) |> eachrow .|> collect
-    g = hidden_share(correction, u .* 1e6, y, 0.0, [4])
+    g = hidden_share!(zeros(9), correction, u .* 1e6, y, 0.0, [4])
     @test all(0 .< g .< 0.8)
     weights, bias = reshape(correction[5:12], 4, 2), correction[13:16]
     by_hand = [

@@ -56,9 +56,14 @@ end
 end
 
 @testset "over cases" begin
-    for n in (0, 1, 2, 7)
+    for n in (0, 1, 2, 7), each in (1, 3, 7, 9)
         seen = zeros(Int, n)
-        PCNDECore.over_cases(cases -> seen[cases] .+= 1, n)
+        PCNDECore.over_cases(n, each) do parts
+            for part in parts
+                @test part == first(part):min(first(part) + each - 1, n)
+                seen[part] .+= 1
+            end
+        end
         @test all(==(1), seen)
     end
     @test_throws SolveError PCNDECore.over_cases(_ -> throw(SolveError("no")), 5)

@@ -59,8 +59,8 @@ end
 function (closure::LossesClosure)(parameters::Vector{T}) where {T}
     (; flow, flow_rate, area_undeformed, z, physics) = closure
     pressure = similar(flow, T)
-    over_cases(size(flow, 3)) do cases
-        for case in cases
+    over_cases(size(flow, 3)) do parts
+        for part in parts, case in part
             c = Coefficients(parameters, area_undeformed[:, case], z, physics)
             @views drop!(pressure[:, :, case], c, flow[:, :, case], flow_rate[:, :, case], z)
         end
@@ -87,8 +87,8 @@ AreaClosure(pressure, area_undeformed, z, config::ClosureConfig) =
 function (closure::AreaClosure)(parameters::Vector{T}) where {T}
     (; pressure, area_undeformed, z, law) = closure
     area = similar(pressure, T)
-    over_cases(size(pressure, 3)) do cases
-        for case in cases
+    over_cases(size(pressure, 3)) do parts
+        for part in parts, case in part
             s_u = area_undeformed[:, case]
             loads = pressure[:, :, case] .- parameters[end]
             moved = displacement(parameters, loads, s_u, z, law)
@@ -122,7 +122,7 @@ function FlowClosure(
     return FlowClosure(
         OutletLaw(outlet, harmonics.omega),
         wall,
-        [vessels(area_undeformed[:, case]) for case in axes(area_undeformed, 2)],
+        [vessels(view(area_undeformed, :, case)) for case in axes(area_undeformed, 2)],
         inflow,
         points,
         harmonics,
@@ -133,13 +133,17 @@ end
 function (closure::FlowClosure)(parameters::Vector{T}) where {T}
     (; outlet, wall, vessels, inflow, points, harmonics, settings) = closure
     flow = Array{T}(undef, length(points), size(inflow)...)
-    over_cases(size(inflow, 2)) do cases
-        coupled, in_z = Coupled(T, harmonics), similar(first(vessels).flow)
-        for case in cases
-            q, vessel = inflow[:, case], vessels[case]
-            couple!(coupled, outlet, wall, parameters, 0.0, vessel, q, harmonics, settings)
-            at_mean!(in_z, vessel.flow, vessel.flow_slope, coupled.mean_pressure)
-            flow[:, :, case] .= in_z[points, :] * coupled.flow
+    over_cases(size(inflow, 2), CASES_TOGETHER) do parts
+        together, in_z = Together(T, harmonics), similar(first(vessels).flow)
+        for part in parts
+            @views here, q, no_shift = vessels[part], inflow[:, part], zeros(length(part))
+            found = couple!(
+                together, outlet, wall, parameters, no_shift, here, q, harmonics, settings,
+            )
+            for (case, coupled, vessel) in zip(part, found, here)
+                at_mean!(in_z, vessel.flow, vessel.flow_slope, coupled.mean_pressure)
+                flow[:, :, case] .= in_z[points, :] * coupled.flow
+            end
         end
     end
     return flow
@@ -160,17 +164,20 @@ struct Vessels
     lock::ReentrantLock
 end
 
-Vessels(wall, losses, z, config) =
-    Vessels(wall, losses, z, config, Dict{Vector{Float64}, VesselModes}(), ReentrantLock())
+function Vessels(wall, losses, z, config)
+    known = Dict{Vector{Float64}, VesselModes}()
+    return Vessels(copy(wall), copy(losses), copy(z), config, known, ReentrantLock())
+end
 
-function (vessels::Vessels)(area_undeformed::Vector{Float64})
+function (vessels::Vessels)(area_undeformed::AbstractVector{Float64})
     (; wall, losses, z, config, known) = vessels
     found = @lock vessels.lock get(known, area_undeformed, nothing)
     found === nothing || return found
-    made = VesselModes(wall, losses, area_undeformed, z, config.wall.law, config.physics)
+    area = Vector(area_undeformed)
+    made = VesselModes(wall, losses, area, z, config.wall.law, config.physics)
     @lock vessels.lock begin
         length(known) < VESSELS || empty!(known)
-        known[area_undeformed] = made
+        known[area] = made
     end
     return made
 end
@@ -187,6 +194,36 @@ function remembered_vessels(wall, losses, z, config::ClosureConfig)
     same || (LAST_VESSELS[] = Vessels(wall, losses, z, config))
     return LAST_VESSELS[]
 end
+
+"""
+    Room(harmonics, n_points)
+
+Room for [`CASES_TOGETHER`](@ref) cases and their fields.
+"""
+struct Room{T <: Together}
+    harmonics::Harmonics
+    together::T
+    fields::FieldsRoom
+end
+
+Room(harmonics::Harmonics, n_points::Integer) = Room(
+    harmonics, Together(Float64, harmonics), FieldsRoom(n_points, harmonics.n_times),
+)
+
+# Of the last prediction, one for each thread; the first is there for its type.
+const FREE_ROOMS = [Room(Harmonics(2, 1.0), 2)]
+const FREE_ROOMS_LOCK = ReentrantLock()
+
+function take_room(harmonics::Harmonics, n_points)
+    fits(room) = room.harmonics === harmonics && size(room.fields.in_z, 1) == n_points
+    @lock FREE_ROOMS_LOCK begin
+        filter!(fits, FREE_ROOMS)
+        isempty(FREE_ROOMS) || return pop!(FREE_ROOMS)
+    end
+    return Room(harmonics, n_points)
+end
+
+give_back(room::Room) = @lock FREE_ROOMS_LOCK push!(FREE_ROOMS, room)
 
 function remembered_harmonics(n_times, period)
     last_period, last = LAST_HARMONICS[]
@@ -226,20 +263,24 @@ function predict_closures!(
     harmonics = remembered_harmonics(n_times, period)
     outlet = OutletLaw(outlet_parameters, harmonics.omega)
     vessels = remembered_vessels(wall, losses, z, config)
-    over_cases(n_cases) do cases
-        coupled, room = Coupled(Float64, harmonics), FieldsRoom(length(z), n_times)
-        for case in cases
-            vessel, q = vessels(area_undeformed[:, case]), inflow[:, case]
-            couple!(
-                coupled, outlet, wall, correction, shift[case], vessel, q, harmonics,
-                config.correction, SETTLED,
+    over_cases(n_cases, CASES_TOGETHER) do parts
+        room = take_room(harmonics, length(z))
+        for part in parts
+            here = [vessels(view(area_undeformed, :, case)) for case in part]
+            @views found = couple!(
+                room.together, outlet, wall, correction, shift[part], here, inflow[:, part],
+                harmonics, config.correction, SETTLED,
             )
-            coupled.change <= ACCEPTED * maximum(abs, q) ||
-                throw(unsettled(case, config.correction.passes))
-            @views fields!(
-                flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel, room,
-            )
+            for (case, coupled, vessel) in zip(part, found, here)
+                coupled.change <= ACCEPTED * coupled.largest_inflow ||
+                    throw(unsettled(case, config.correction.passes))
+                @views fields!(
+                    flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel,
+                    room.fields,
+                )
+            end
         end
+        give_back(room)
     end
     return nothing
 end

@@ -15,9 +15,9 @@
 storage_factor(parameters) = parameters[1]
 
 """
-    hidden_share(parameters, pressure_rate, flow, shift, hidden)
+    hidden_share!(share, parameters, pressure_rate, flow, shift, hidden)
 
-g, (time).
+Fill `share` with g, (time).
 
 # Arguments
 
@@ -27,20 +27,29 @@ g, (time).
   - `shift`: added before the sigmoid.
   - `hidden`: widths of the hidden layers.
 """
-function hidden_share(parameters, pressure_rate, flow, shift, hidden)
+function hidden_share!(share, parameters, pressure_rate, flow, shift, hidden)
     _, ceiling, u_scale, y_scale = parameters
-    x = similar(flow, 2, length(flow))
-    x[1, :] .= pressure_rate ./ u_scale
-    x[2, :] .= flow ./ y_scale
+    x = similar(share, length(flow), 2)
+    @views x[:, 1] .= pressure_rate ./ u_scale
+    @views x[:, 2] .= flow ./ y_scale
     at, n = 4, 2
-    for layer in 1:(length(hidden) + 1)
-        last = layer > length(hidden)
-        m = last ? 1 : hidden[layer]
-        @views weight = reshape(parameters[(at + 1):(at + n * m)], m, n)
-        @views bias = parameters[(at + n * m + 1):(at + (n + 1) * m)]
-        x = weight * x
-        x .= last ? x .+ bias : tanh.(x .+ bias)
+    for m in hidden
+        x = tanh.(layer(x, parameters, at, n, m))
         at, n = at + (n + 1) * m, m
     end
-    return ceiling .* NNlib.sigmoid.(vec(x) .+ shift)
+    share .= ceiling .* NNlib.sigmoid.(vec(layer(x, parameters, at, n, 1)) .+ shift)
+    return share
+end
+
+"""
+    layer(x, parameters, at, n, m)
+
+x·W + b, (time, m), of x (time, n), with W and b after the first `at` parameters.
+"""
+function layer(x, parameters, at, n, m)
+    @views weight = reshape(parameters[(at + 1):(at + n * m)], m, n)
+    @views bias = parameters[(at + n * m + 1):(at + (n + 1) * m)]
+    product = x * weight'
+    product .+= bias'
+    return product
 end

@@ -95,120 +95,185 @@ The functions of time of one case, which [`couple!`](@ref) finds; k as in
     (3 + k, time).
   - `area`: of the area: P², 1, P and the modes; without the first those of the pressure,
     (3 + k, time).
-  - `mean_pressure`: the mean of P that the inflow gives.
-  - `change`: no change of Q(L) in the last pass was larger, mL/s.
+  - `largest_inflow`: of all instants, mL/s; `mean_pressure`: the mean of P that the inflow
+    gives.
+  - `change`: no change of Q(L) in the last pass was larger, mL/s; `settled`: whether there
+    need be no more.
   - `reverses`: whether some flow goes back; else the last three modes are zero.
-  - `inflow`: q with its two rates, then the passive tube's ∂P/∂t and Q(L); `stored`: d with
-    its two rates; `pressure`: P without its constant part, and ∂P/∂t; `left`: what a pass
-    has left over.
-  - `inflow_harmonics`, `outlet_flow`: of q and Q(L), and `solve`: a pass multiplies by it
-    what is left over, (harmonic).
+  - `inflow`: q, and `share`: g, (time); `total`: of the volume, what belongs to P, to P² and
+    to the modes.
+  - `passive`: ∂q/∂t, and ∂P/∂t and Q(L) of the passive tube; `stored`: d and ∂d/∂t;
+    `pressure`: P without its constant part, and ∂P/∂t; `second_rates`: of q and d; `left`:
+    what a pass has left over.
+  - `inflow_harmonics`, `outlet_flow`: of q and Q(L); `driven`, `linear`: what of κ·∂V/∂t does
+    not depend on Q(L), and its factor where it is linear with constant coefficients; `solve`:
+    a pass multiplies by it what is left over, (harmonic).
 """
-mutable struct Coupled{T}
+mutable struct Coupled{T, W <: Waves{T}}
     const flow::Matrix{T}
     const area::Matrix{T}
+    largest_inflow::Float64
     mean_pressure::Float64
     change::T
+    settled::Bool
     reverses::Bool
-    const inflow::Waves{T}
-    const stored::Waves{T}
-    const pressure::Waves{T}
-    const left::Waves{T}
+    const inflow::Vector{Float64}
+    const share::Vector{T}
+    const total::Vector{Float64}
+    const passive::W
+    const stored::W
+    const pressure::W
+    const second_rates::W
+    const left::W
     const inflow_harmonics::Vector{Complex{T}}
     const outlet_flow::Vector{Complex{T}}
+    const driven::Vector{Complex{T}}
+    const linear::Vector{Complex{T}}
     const solve::Vector{Complex{T}}
 end
 
-function Coupled(::Type{T}, harmonics::Harmonics) where {T}
-    functions() = Matrix{T}(undef, 3 + N_MODES, harmonics.n_times)
-    waves = (Waves(T, harmonics, n_signals) for n_signals in (5, 3, 2, 1))
-    spectra = (Vector{Complex{T}}(undef, length(harmonics.omega)) for _ in 1:3)
-    return Coupled(functions(), functions(), NaN, T(NaN), false, waves..., spectra...)
+function Coupled(::Type{T}, harmonics::Harmonics, waves...) where {T}
+    n_times, n = harmonics.n_times, length(harmonics.omega)
+    functions() = Matrix{T}(undef, 3 + N_MODES, n_times)
+    in_time = zeros(n_times), zeros(T, n_times), zeros(2 + N_MODES)
+    spectra = (Vector{Complex{T}}(undef, n) for _ in 1:5)
+    return Coupled(
+        functions(), functions(), NaN, NaN, T(NaN), false, false, in_time..., waves...,
+        spectra...,
+    )
 end
 
 """
-    couple!(coupled, outlet, wall, correction, shift, vessel, inflow, harmonics, settings,
+    Together(T, harmonics)
+
+Some cases, [`Coupled`](@ref), whose signals lie side by side: one product of matrices
+transforms those of all, in a fraction of the time.
+"""
+struct Together{T, C <: Coupled{T}, W <: Waves{T}}
+    cases::Vector{C}
+    passive::W
+    stored::W
+    pressure::W
+    second_rates::W
+    left::W
+end
+
+function Together(::Type{T}, harmonics::Harmonics) where {T}
+    numbers = (3, 2, 2, 2, 1)
+    waves = map(n -> Waves(T, harmonics, n * CASES_TOGETHER), numbers)
+    cases = map(1:CASES_TOGETHER) do case
+        own = map((w, n) -> among(w, ((case - 1) * n + 1):(case * n)), waves, numbers)
+        Coupled(T, harmonics, own...)
+    end
+    return Together(cases, waves...)
+end
+
+"""
+Cases whose signals are transformed together.
+"""
+const CASES_TOGETHER = 8
+
+"""
+    couple!(together, outlet, wall, correction, shifts, vessels, inflow, harmonics, settings,
         tolerance = 0.0)
 
-Find the outlet flow of one case, and all functions of time with it.
+Find the outlet flow of some cases, and all functions of time with it; return the
+[`Coupled`](@ref) of each.
 
 # Arguments
 
   - `outlet`: [`OutletLaw`](@ref) of these harmonics.
-  - `wall`, `correction`: parameters; `shift`: see [`hidden_share`](@ref).
-  - `vessel`: its [`VesselModes`](@ref).
-  - `inflow`: Q_in, mL/s, (time).
+  - `wall`, `correction`: parameters; `shifts`: for each case, see [`hidden_share!`](@ref).
+  - `vessels`: [`VesselModes`](@ref) of each.
+  - `inflow`: Q_in, mL/s, (time, case), of no more than `CASES_TOGETHER`.
   - `harmonics`: [`Harmonics`](@ref) of these instants.
   - `settings`: a [`CorrectionClosure`](@ref).
-  - `tolerance`: passes end once the next would change Q(L) by less, relative to the largest
-    inflow, if it changed it as much less as the last one did; with 0 all passes are made, as
-    derivatives need it.
+  - `tolerance`: a case's passes end once the next would change Q(L) by less, relative to the
+    largest inflow, if it changed it as much less as the last one did; with 0 all passes are
+    made, as derivatives need it.
 """
 function couple!(
-    coupled::Coupled{T}, outlet::OutletLaw, wall, correction::Vector{T}, shift,
-    vessel::VesselModes, inflow, harmonics::Harmonics, settings::CorrectionClosure,
-    tolerance::Float64 = 0.0,
+    together::Together{T}, outlet::OutletLaw, wall, correction::Vector{T}, shifts, vessels,
+    inflow, harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
 ) where {T}
     kappa = storage_factor(correction)
     offset = outlet.distal_pressure - wall[end]
-    mean_flow = sum(inflow) / length(inflow)
-    mean_pressure = real(outlet.impedance[1]) * mean_flow + offset
-    total = [
-        vessel.flow[end, 1 + k] + (k > 2 ? mean_pressure * vessel.flow_slope[end, k - 2] : 0)
-        for k in 1:(2 + N_MODES)
-    ]
-    linearise!(coupled, outlet, total, kappa, inflow, mean_flow, mean_pressure, harmonics)
-    q = coupled.inflow.signals
-    q[:, 1] = inflow
-    @views g = hidden_share(correction, q[:, 4], q[:, 5], shift, settings.hidden)
-    shown = 1 ./ (1 .- g)
-    coupled.solve .= inverse.(sum(shown) / length(shown) .+ coupled.solve)
-
-    settled, before = tolerance * maximum(abs, inflow), zero(T)
-    after_outlet!(coupled, harmonics, outlet)
-    for _ in 1:settings.passes
-        left_over!(coupled, shown, total, kappa, offset)
-        analyse!(coupled.left, harmonics)
-        change = advance!(coupled)
-        after_outlet!(coupled, harmonics, outlet)
-        coupled.change = change
-        change^2 <= settled * max(change, before) && break
-        before = change
+    cases = view(together.cases, axes(inflow, 2))
+    for (i, case) in pairs(cases)
+        @views begin_case!(case, vessels[i], outlet, inflow[:, i], offset)
     end
-    coupled.mean_pressure = mean_pressure
-    functions_of_time!(coupled, g, kappa, offset)
-    return coupled
+    analyse!(together.left, harmonics)
+    foreach(case -> linearise!(case, outlet, kappa, harmonics), cases)
+    synthesise!(together.passive, harmonics)
+    for (i, case) in pairs(cases)
+        (; share, solve, passive) = case
+        @views u, y = passive.signals[:, 2], passive.signals[:, 3]
+        hidden_share!(share, correction, u, y, shifts[i], settings.hidden)
+        solve .= inverse.(sum(g -> 1 / (1 - g), share) / length(share) .+ solve)
+    end
+    after_outlet!(together, cases, harmonics, outlet)
+    for _ in 1:settings.passes
+        all(case -> case.settled, cases) && break
+        for case in cases
+            case.settled || left_over!(case, kappa, offset)
+        end
+        analyse!(together.left, harmonics)
+        for case in cases
+            case.settled || advance!(case, tolerance)
+        end
+        after_outlet!(together, cases, harmonics, outlet)
+    end
+    functions_of_time!(together, cases, harmonics, kappa, offset)
+    return cases
 end
 
 """
-    linearise!(coupled, outlet, total, kappa, inflow, mean_flow, mean_pressure, harmonics)
+    begin_case!(coupled, vessel, outlet, inflow, offset)
 
-Fill the inflow's harmonics and signals, the passive tube's outlet flow, and `solve` with
-κ·A(ω).
+Take the inflow, with what of the pressure and the volume follows from its mean.
 """
-function linearise!(
-    coupled::Coupled, outlet::OutletLaw, total, kappa, inflow, mean_flow, mean_pressure,
-    harmonics,
-)
-    (; left, inflow_harmonics, outlet_flow, solve) = coupled
-    left.signals[:, 1] = inflow
-    analyse!(left, harmonics)
-    # Of the modes d, ∂d/∂t and q·d, which come with −y.
-    of_stored, of_rate = total[4], total[6]
-    of_product = mean_flow >= 0 ? total[8] : total[11]
+function begin_case!(coupled::Coupled{T}, vessel, outlet::OutletLaw, inflow, offset) where {T}
+    (; left, total) = coupled
+    copyto!(coupled.inflow, inflow)
+    left.signals .= coupled.inflow
+    coupled.mean_pressure = real(outlet.impedance[1]) * mean_flow(coupled) + offset
+    coupled.largest_inflow = maximum(abs, inflow)
+    coupled.settled, coupled.change = false, zero(T)
+    n_other = length(total) - N_MODES
+    for k in eachindex(total)
+        slope = k > n_other ? vessel.flow_slope[end, k - n_other] : 0.0
+        total[k] = vessel.flow[end, 1 + k] + coupled.mean_pressure * slope
+    end
+    return nothing
+end
+
+mean_flow(coupled::Coupled) = sum(coupled.inflow) / length(coupled.inflow)
+
+"""
+    linearise!(coupled, outlet, kappa, harmonics)
+
+Fill the harmonics of what follows from the inflow alone, the passive tube's among it, and
+`solve` with κ·A(ω).
+"""
+function linearise!(coupled::Coupled, outlet::OutletLaw, kappa, harmonics)
+    (; left, inflow_harmonics, outlet_flow, driven, linear, solve, total) = coupled
+    mean = mean_flow(coupled)
+    # What belongs to q, d, ∂q/∂t, ∂d/∂t and q·d; d comes with −y.
+    _, _, of_inflow, of_stored, of_inflow_rate, of_stored_rate = total
+    of_product = mean >= 0 ? total[8] : total[11]
     @inbounds for k in eachindex(solve)
         turned, rate = im * harmonics.omega[k], outlet.rate[k]
         q = complex(left.real[k], left.imaginary[k])
         y = q * inverse(1 + kappa * total[1] * rate)
-        set!(coupled.inflow, k, (q, turned * q, turned^2 * q, rate * y, y))
+        set!(coupled.passive, k, (turned * q, rate * y, y))
         inflow_harmonics[k], outlet_flow[k] = q, y
-        solve[k] =
-            kappa * (
-                rate * (total[1] + 2 * mean_pressure * total[2]) -
-                turned * (of_stored + of_product * mean_flow + turned * of_rate)
-            )
+        as_flow = turned * (of_stored + turned * of_stored_rate)
+        driven[k] = kappa * (turned * (of_inflow + turned * of_inflow_rate) + as_flow) * q
+        linear[k] = kappa * (rate * total[1] - as_flow)
+        about_mean =
+            rate * 2 * coupled.mean_pressure * total[2] - turned * of_product * mean
+        solve[k] = linear[k] + kappa * about_mean
     end
-    synthesise!(coupled.inflow, harmonics)
     return nothing
 end
 
@@ -234,29 +299,36 @@ Put a complex number for each signal in the place of this harmonic.
 end
 
 """
-    after_outlet!(coupled, harmonics, outlet)
+    after_outlet!(together, cases, harmonics, outlet)
 
 Fill the signals of what is stored and of the pressure from the harmonics of inflow and
 outlet flow.
 """
-function after_outlet!(coupled::Coupled, harmonics::Harmonics, outlet::OutletLaw)
-    (; inflow_harmonics, outlet_flow, stored, pressure) = coupled
-    @inbounds for k in eachindex(outlet_flow)
-        omega, d = harmonics.omega[k], inflow_harmonics[k] - outlet_flow[k]
-        set!(stored, k, (d, im * omega * d, -omega^2 * d))
-    end
-    synthesise!(stored, harmonics)
-    if isnan(outlet.resistance)
+function after_outlet!(together::Together, cases, harmonics::Harmonics, outlet::OutletLaw)
+    for case in cases
+        (; inflow_harmonics, outlet_flow, stored) = case
         @inbounds for k in eachindex(outlet_flow)
-            y = outlet_flow[k]
-            set!(pressure, k, (outlet.impedance[k] * y, outlet.rate[k] * y))
+            d = inflow_harmonics[k] - outlet_flow[k]
+            set!(stored, k, (d, im * harmonics.omega[k] * d))
         end
-        synthesise!(pressure, harmonics)
+    end
+    synthesise!(together.stored, harmonics)
+    if isnan(outlet.resistance)
+        for case in cases
+            (; outlet_flow, pressure) = case
+            @inbounds for k in eachindex(outlet_flow)
+                y = outlet_flow[k]
+                set!(pressure, k, (outlet.impedance[k] * y, outlet.rate[k] * y))
+            end
+        end
+        synthesise!(together.pressure, harmonics)
     else
-        q, d, p = coupled.inflow.signals, stored.signals, pressure.signals
-        @inbounds for signal in 1:2
-            @simd for t in axes(p, 1)
-                p[t, signal] = outlet.resistance * (q[t, signal] - d[t, signal])
+        for case in cases
+            q, q1, d, p =
+                case.inflow, case.passive.signals, case.stored.signals, case.pressure.signals
+            @inbounds @simd for t in eachindex(q)
+                p[t, 1] = outlet.resistance * (q[t] - d[t, 1])
+                p[t, 2] = outlet.resistance * (q1[t, 1] - d[t, 2])
             end
         end
     end
@@ -264,79 +336,85 @@ function after_outlet!(coupled::Coupled, harmonics::Harmonics, outlet::OutletLaw
 end
 
 """
-    left_over!(coupled, shown, total, kappa, offset)
+    left_over!(coupled, kappa, offset)
 
-Fill `left` with e·d − κ·∂V/∂t, from e, the volume that belongs to P, P² and the modes, κ,
-and the constant part of P.
+Fill `left` with e·d − κ·∂V/∂t, without the part of it that is linear with constant
+coefficients; `offset` is the constant part of P.
 """
-function left_over!(coupled::Coupled, shown, total, kappa, offset)
-    q, stored, pressure = signals(coupled)
-    left = coupled.left.signals
-    @inbounds @simd for t in eachindex(shown)
-        q0, q1, q2 = q[t, 1], q[t, 2], q[t, 3]
-        d0, d1, d2 = stored[t, 1], stored[t, 2], stored[t, 3]
-        p, p1 = pressure[t, 1] + offset, pressure[t, 2]
+function left_over!(coupled::Coupled, kappa, offset)
+    (; inflow, share, total) = coupled
+    q1, d, p, left =
+        (w.signals for w in (coupled.passive, coupled.stored, coupled.pressure, coupled.left))
+    @inbounds @simd for t in eachindex(inflow)
+        q0, d0 = inflow[t], d[t, 1]
         forward = goes_forward(q0, d0)
-        (s1, s2, s3) = square_rates(q0, q1, d0, d1)
+        (s1, s2, s3) = square_rates(q0, q1[t, 1], d0, d[t, 2])
         squares =
             ifelse(forward, total[7], total[10]) * s1 +
             ifelse(forward, total[8], total[11]) * s2 +
             ifelse(forward, total[9], total[12]) * s3
-        filling =
-            total[1] * p1 +
-            total[2] * (2 * p * p1) +
-            total[3] * q1 +
-            total[4] * d1 +
-            total[5] * q2 +
-            total[6] * d2 +
-            squares
-        left[t] = shown[t] * d0 - kappa * filling
+        filling = total[2] * (2 * (p[t, 1] + offset) * p[t, 2]) + squares
+        left[t] = d0 / (1 - share[t]) - kappa * filling
     end
     return nothing
 end
 
 """
-    signals(coupled)
+    advance!(coupled, tolerance)
 
-Of the inflow, of what is stored, and of the pressure; see [`Coupled`](@ref).
+Add to the harmonics of the outlet flow what was left over, solved for. No signal changes by
+more than the sum of the amplitudes.
 """
-signals(coupled::Coupled) =
-    (coupled.inflow.signals, coupled.stored.signals, coupled.pressure.signals)
-
-"""
-    advance!(coupled)
-
-Add to the harmonics of the outlet flow what was left over, solved for; return the sum of the
-amplitudes, which no signal exceeds.
-"""
-function advance!(coupled::Coupled{T}) where {T}
-    (; left, outlet_flow, solve) = coupled
+function advance!(coupled::Coupled{T}, tolerance) where {T}
+    (; left, outlet_flow, driven, linear, solve) = coupled
     amplitudes = zero(T)
     @inbounds for k in eachindex(outlet_flow)
-        step = solve[k] * complex(left.real[k], left.imaginary[k])
+        products = complex(left.real[k], left.imaginary[k])
+        step = solve[k] * (products - driven[k] - linear[k] * outlet_flow[k])
         outlet_flow[k] += step
         amplitudes += sqrt(abs2(step))
     end
-    return amplitudes
+    limit = tolerance * coupled.largest_inflow
+    # Of the first pass nothing can be told from the one before.
+    coupled.settled = amplitudes^2 <= limit * max(amplitudes, coupled.change)
+    coupled.change = amplitudes
+    return nothing
 end
 
 """
-    functions_of_time!(coupled, g, kappa, offset)
+    functions_of_time!(together, cases, harmonics, kappa, offset)
 
-Fill `flow`, `area` and `reverses` from the signals of inflow and outlet.
+Fill `flow`, `area` and `reverses` from what inflow and outlet flow are.
 """
-function functions_of_time!(coupled::Coupled, g, kappa, offset)
-    (; flow, area) = coupled
-    q, d, pressure = signals(coupled)
+function functions_of_time!(together::Together, cases, harmonics::Harmonics, kappa, offset)
+    for case in cases
+        (; inflow_harmonics, outlet_flow, second_rates) = case
+        @inbounds for k in eachindex(outlet_flow)
+            turned_twice, q = -harmonics.omega[k]^2, inflow_harmonics[k]
+            set!(second_rates, k, (turned_twice * q, turned_twice * (q - outlet_flow[k])))
+        end
+    end
+    synthesise!(together.second_rates, harmonics)
+    foreach(case -> functions_of_time!(case, kappa, offset), cases)
+    return nothing
+end
+
+function functions_of_time!(coupled::Coupled, kappa, offset)
+    (; flow, area, inflow, share) = coupled
+    q1, d, p, second = (
+        w.signals for
+        w in (coupled.passive, coupled.stored, coupled.pressure, coupled.second_rates)
+    )
     coupled.reverses = false
-    @inbounds for t in eachindex(g)
-        inflow, stored = (q[t, 1], q[t, 2], q[t, 3]), (d[t, 1], d[t, 2], d[t, 3])
-        p, p_rate = pressure[t, 1] + offset, pressure[t, 2]
-        modes, rates = modes_in_time(inflow, stored)
-        storage = -kappa * (1 - g[t])
-        fill_column!(flow, t, (inflow[1], (storage .* (p_rate, 2 * p * p_rate, rates...))...))
-        fill_column!(area, t, (p^2, one(p), p, modes...))
-        goes_forward(inflow[1], stored[1]) || (coupled.reverses = true)
+    @inbounds for t in eachindex(inflow)
+        flows = inflow[t], q1[t, 1], second[t, 1]
+        stored = d[t, 1], d[t, 2], second[t, 2]
+        moved, rate = p[t, 1] + offset, p[t, 2]
+        modes, rates = modes_in_time(flows, stored)
+        storage = -kappa * (1 - share[t])
+        fill_column!(flow, t, (flows[1], (storage .* (rate, 2 * moved * rate, rates...))...))
+        fill_column!(area, t, (moved^2, one(moved), moved, modes...))
+        goes_forward(flows[1], stored[1]) || (coupled.reverses = true)
     end
     return nothing
 end
@@ -349,15 +427,24 @@ end
 """
     FieldsRoom(n_points, n_times)
 
-Room for one field, (z, time), and for the functions of z that make it up, (z, 3 + k).
+Room for some instants of a field, (z, time), and for the functions of z that make it up,
+(z, 3 + k).
 """
 struct FieldsRoom
     field::Matrix{Float64}
     in_z::Matrix{Float64}
 end
 
-FieldsRoom(n_points::Integer, n_times::Integer) =
-    FieldsRoom(zeros(n_points, n_times), zeros(n_points, 3 + N_MODES))
+function FieldsRoom(n_points::Integer, n_times::Integer)
+    together = clamp(NUMBERS_TOGETHER ÷ n_points, 1, n_times)
+    return FieldsRoom(zeros(n_points, together), zeros(n_points, 3 + N_MODES))
+end
+
+"""
+About so many numbers of a field are computed before they are written: they fit the
+processor's nearest cache.
+"""
+const NUMBERS_TOGETHER = 2048
 
 """
     fields!(flow, area, pressure, coupled, vessel, room)
@@ -369,8 +456,12 @@ function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes, ro
     # Modes of reversed flow, the last, are zero where there is none.
     n_used, mean = 3 + N_MODES - (coupled.reverses ? 0 : N_SQUARES), coupled.mean_pressure
     function write!(field, in_z, in_time, rows)
-        @views mul!(room.field, in_z[:, 1:length(rows)], in_time[rows, :])
-        copy_past_cache!(field, room.field)
+        n_times = size(field, 2)
+        for instants in Iterators.partition(1:n_times, size(room.field, 2))
+            @views part = room.field[:, 1:length(instants)]
+            @views mul!(part, in_z[:, 1:length(rows)], in_time[rows, instants])
+            @views copy_past_cache!(field[:, instants], part)
+        end
     end
     at_mean!(room.in_z, vessel.flow, vessel.flow_slope, mean)
     write!(flow, room.in_z, coupled.flow, 1:n_used)

@@ -74,18 +74,31 @@ Room for some real signals and their harmonics.
   - `real`, `imaginary`: parts of their harmonics, (harmonic, signal).
   - `even`, `odd`: parts of the signals in the first half of the cycle, (time, signal).
 """
-struct Waves{T}
-    signals::Matrix{T}
-    real::Matrix{T}
-    imaginary::Matrix{T}
-    even::Matrix{T}
-    odd::Matrix{T}
+struct Waves{T, M <: AbstractMatrix{T}}
+    signals::M
+    real::M
+    imaginary::M
+    even::M
+    odd::M
 end
 
 function Waves(::Type{T}, harmonics::Harmonics, n_signals) where {T}
     n = length(harmonics.omega)
     room(rows) = zeros(T, rows, n_signals)
     return Waves(room(harmonics.n_times), room(n), room(n), room(n), room(n))
+end
+
+"""
+    among(waves, signals)
+
+Some of the signals, in the same memory.
+"""
+function among(waves::Waves, signals)
+    (part(matrix) = view(matrix, :, signals))
+    return Waves(
+        part(waves.signals), part(waves.real), part(waves.imaginary), part(waves.even),
+        part(waves.odd),
+    )
 end
 
 """
