@@ -446,8 +446,8 @@ class _Julia:
     def call(self, name: str, *arguments: Any, in_place: Iterable[Array] = ()) -> Any:
         """Call one of PCNDECore's functions; arrays and settings are converted.
 
-        Of the arrays ``in_place`` the function is told, last, where they are; it reads and
-        fills them there, and keeps none.
+        Of the arrays ``in_place``, float64 and C-ordered, the function is told, last, where
+        they are; it reads and fills them there, and keeps none.
         """
         if os.getpid() != self._process:
             raise EngineError(
@@ -460,8 +460,7 @@ class _Julia:
                 'one thread, or take engine="jax", which any thread may use.'
             )
         try:
-            arrays = [np.ascontiguousarray(array, dtype=np.float64) for array in in_place]
-            where = [number for array in arrays for number in _memory(array)]
+            where = [number for array in in_place for number in _memory(array)]
             result = self._function(name)(*map(self._to_julia, arguments), *where)
             return self._to_python(result)
         except self._juliacall.JuliaError as error:

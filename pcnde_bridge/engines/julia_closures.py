@@ -65,7 +65,9 @@ class JuliaClosures:
         shape = len(inflow), inflow.shape[1], grid.z.size
         flow, area, pressure = (self._buffers.empty(shape) for _ in range(3))
         vectors = (vector for _, vector in parameters)
-        arrays = flow, area, pressure, *vectors, shift, inflow, area_undeformed, grid.z
+        inputs = *vectors, shift, inflow, area_undeformed, grid.z
+        # Named, as Julia uses their memory until it returns.
+        arrays = [flow, area, pressure, *(np.ascontiguousarray(a, np.float64) for a in inputs)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return Solution(flow, area, pressure)
 
