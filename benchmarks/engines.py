@@ -24,7 +24,6 @@ from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -93,7 +92,7 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
     results["start of the engine, s"] = time.perf_counter() - started
 
     train = cases.split("paper").train
-    grid = Grid(train.time, train.z, train.period)
+    grid = train.grid
     first = initial_parameters(PAPER, train.n_times, train.n_points, seed=0)
     area = undeformed(train.area_undeformed, train.n_times)
     order = np.random.default_rng(0).permutation(train.n_cases)

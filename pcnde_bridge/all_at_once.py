@@ -26,13 +26,13 @@ from pcnde_bridge.engines.base import (
     Engine,
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     OnIteration,
     SpatialPressureInputs,
     Stage,
     TemporalPressureInputs,
 )
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.inference import initial_area
 from pcnde_bridge.lbfgs import Whitening, minimise
 from pcnde_bridge.least_squares import solve_normal, solve_per_point
@@ -119,7 +119,7 @@ def fit_flow(
     array of shape (size,)
         Its parameters.
     """
-    settings, grid = config.all_at_once, Grid(cases.time, cases.z, cases.period)
+    settings, grid = config.all_at_once, cases.grid
     fitted = selection[0]
     seen = np.concatenate(
         [np.broadcast_to(cases.inflow[:, :, None], area.shape)[fitted], area[fitted]], axis=1
@@ -202,7 +202,7 @@ def fit_area(
     record: Callable[[str], OnIteration],
 ) -> tuple[Array, Array]:
     """Both area stages on a flow (case, time, z): (â, b̂) and (a, b)."""
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     first = IntermediateAreaInputs(flow, cases.area_undeformed)
     intermediate, loss = fit_intermediate_area(first, cases.area, engine, grid, config)
     record("intermediate_area")(1, loss)

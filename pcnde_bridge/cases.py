@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEWarning
 from pcnde_bridge.files import atomic_write, check_members, sha256_arrays
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.h5 import read_dataset
 
 FloatArray = NDArray[np.float64]
@@ -176,6 +177,11 @@ class Cases:
     def n_points(self) -> int:
         """Number of points along the vessel."""
         return int(self.flow.shape[2])
+
+    @property
+    def grid(self) -> Grid:
+        """Instants (s), points (cm) and period (s)."""
+        return Grid(self.time, self.z, self.period)
 
     @property
     def inflow(self) -> FloatArray:

@@ -31,9 +31,10 @@ from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.uncertainty import calibrated_factor, parts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
-from pcnde_bridge.engines.base import Engine, Grid
+from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, TaskError
 from pcnde_bridge.fits import FitTask, common_facts, fit_model, model_of, same_everywhere
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction

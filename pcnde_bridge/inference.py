@@ -10,12 +10,12 @@ from pcnde_bridge.engines.base import (
     Engine,
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     Solution,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import Parameters
 
 Array = npt.NDArray[np.float64]

@@ -20,8 +20,9 @@ from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.closures.uncertainty import Uncertainty, draw
 from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.base import Engine, Grid
+from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -157,7 +158,7 @@ class PCNDE:
         return cls(
             trained.config,
             trained.parameters,
-            Grid(cases.time, cases.z, cases.period),
+            cases.grid,
             engine,
             {**provenance(cases, engine, seed), **trained.facts},
             trained.history,
@@ -376,7 +377,7 @@ class PCNDE:
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         self.check_grid(cases)
-        grid = Grid(cases.time, cases.z, cases.period)
+        grid = cases.grid
         inputs = cases.inflow, cases.area_undeformed
         score = self._score(*inputs, grid.z)
         return self._predict(*inputs, grid, cases.labels, score, samples, seed)

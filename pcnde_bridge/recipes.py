@@ -18,8 +18,9 @@ from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters
 from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.closures.uncertainty import Uncertainty
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
-from pcnde_bridge.engines.base import Engine, Grid, Solution
+from pcnde_bridge.engines.base import Engine, Solution
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.parameters import STAGES, Parameters
 from pcnde_bridge.progress import listening

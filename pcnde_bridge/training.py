@@ -27,7 +27,6 @@ from pcnde_bridge.engines.base import (
     Engine,
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -192,7 +191,7 @@ class Trainer:
         self._cases = cases
         self._config = config
         self._engine = engine
-        self._grid = Grid(cases.time, cases.z, cases.period)
+        self._grid = cases.grid
         self._checkpoint = None
         if checkpoint is not None:
             self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)

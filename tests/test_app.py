@@ -20,7 +20,6 @@ from pcnde_bridge.app.explorer import Explorer
 from pcnde_bridge.app.inputs import Choices, read_waveform
 from pcnde_bridge.closures.uncertainty import Uncertainty
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.novelty import Novelty
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.plots.style import QUANTITIES
@@ -54,7 +53,7 @@ def explorer(model):
 @pytest.fixture
 def bound(small_cases, toy_config, toy_engine):
     """Model that is bound to its grid and does not know its training data."""
-    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    grid = small_cases.grid
     return PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
 
 

@@ -15,9 +15,9 @@ from pcnde_bridge.closures.parameters import ClosureParameters, sizes
 from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.config import PHYSICS, Physics
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.engines.jax.closures import correction, losses, wall
 from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.precision import double_precision
 
 # One grid throughout, and 16 cases at once: every new shape is compiled for seconds.

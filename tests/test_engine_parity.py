@@ -9,7 +9,6 @@ from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines.base import (
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -68,7 +67,7 @@ def config(request):
 def problem(small_cases):
     """Grid, and each stage's inputs and target."""
     cases = small_cases
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     area = undeformed(cases.area_undeformed, cases.n_times)
     pressure = cases.pressure / PAPER.physics.reference_pressure
     pairs = {
@@ -192,7 +191,7 @@ def test_whole_models_agree(engines, config, small_cases, problem):
 def test_first_batch_of_the_paper_takes_the_same_path(engines, published_cases):
     cases = published_cases.split("paper").train
     batch = np.random.default_rng(0).permutation(cases.n_cases)[: PAPER.batch_size]
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     area = undeformed(cases.area_undeformed, cases.n_times)[batch]
     first = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
     inputs = FlowInputs(cases.inflow[batch], area)
@@ -216,7 +215,7 @@ def published_weights(published_folder):
 def test_published_weights_give_the_published_errors(engines, published_weights, published_cases):
     cases = published_cases.split("paper").test
     config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     by_julia, by_jax = (
         engine.predict(published_weights, cases.inflow, cases.area_undeformed, grid, config)
         for engine in engines
@@ -255,7 +254,7 @@ def test_published_weights_predict_the_same(
     # The narrowest, the strongest, the reversed wave: at a tight tolerance each takes seconds.
     cases = published_cases.select([(10, 0), (10, 9), (1, 9), (5, 9)])
     config = PUBLISHED_CODE.replace(flow=tolerances)
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     # The authors publish no weights for the pressure: some will do.
     some = initial_parameters(config, cases.n_times, cases.n_points, seed=0)
     weights = published_weights.replace(

@@ -14,7 +14,6 @@ from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import (
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -49,7 +48,7 @@ def engine():
 
 @pytest.fixture(scope="module")
 def grid(small_cases):
-    return Grid(small_cases.time, small_cases.z, small_cases.period)
+    return small_cases.grid
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,6 @@ from pcnde_bridge import (
     UnitsWarning,
 )
 from pcnde_bridge.cases import VARIABLES
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.formats import (
     VesselResults,
     read_csv,
@@ -42,6 +41,7 @@ from pcnde_bridge.formats import (
     write_pvd,
     write_vtp,
 )
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
 

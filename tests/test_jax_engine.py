@@ -16,7 +16,6 @@ from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.base import (
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -37,7 +36,7 @@ def engine():
 
 @pytest.fixture(scope="module")
 def grid(small_cases):
-    return Grid(small_cases.time, small_cases.z, small_cases.period)
+    return small_cases.grid
 
 
 def test_it_travels_to_another_process_as_a_name(engine):
@@ -318,6 +317,7 @@ def test_the_users_jax_precision_stays_as_it_was():
         "import numpy as np, jax.numpy as jnp\n"
         "from pcnde_bridge.engines import select_engine\n"
         "from pcnde_bridge.engines.base import *\n"
+        "from pcnde_bridge.grid import Grid\n"
         "from pcnde_bridge import PAPER\n"
         "e = select_engine('jax')\n"
         "q = np.ones((1, 20, 5)); p = np.ones(10)\n"

@@ -21,7 +21,7 @@ import pytest
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.doctor import examine
 from pcnde_bridge.engines import julia, select_engine, why_not_julia
-from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs, Grid
+from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs
 from pcnde_bridge.engines.julia import (
     JuliaEngine,
     JuliaStatus,
@@ -259,7 +259,7 @@ def engine():
 @pytest.fixture(scope="module")
 def flow_problem(small_cases):
     cases = small_cases
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     inputs = FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
     vector = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
     return vector, inputs, cases.flow, grid, PAPER
@@ -462,7 +462,8 @@ def test_it_works_after_jax_and_leaves_main_alone():
         "import juliacall, numpy as np\n"
         "assert not juliacall.Main.seval('isdefined(Main, :PCNDECore)')\n"
         "from pcnde_bridge.config import PAPER\n"
-        "from pcnde_bridge.engines.base import FourierAreaInputs, Grid\n"
+        "from pcnde_bridge.engines.base import FourierAreaInputs\n"
+        "from pcnde_bridge.grid import Grid\n"
         "grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
         "inputs = FourierAreaInputs(np.ones((2, 20, 5)), np.ones((2, 5)))\n"
         "area = engine.fourier_area.solve(np.ones(10), inputs, grid, PAPER)\n"
@@ -562,7 +563,7 @@ def test_an_error_holds_nothing_of_julias(engine, flow_problem):
 
 @marked
 def test_many_small_calls_do_not_leak_warnings(engine, small_cases):
-    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    grid = small_cases.grid
     inputs = FourierAreaInputs(small_cases.flow, small_cases.area_undeformed)
     vector = np.ones(2 * small_cases.n_points)
     with warnings.catch_warnings():

@@ -30,7 +30,6 @@ from pcnde_bridge import PCNDE, DataNotFoundError, FileError, InputError, PCNDEC
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.datasets import load_cases
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.formats import read_csv, read_hdf5, read_simvascular, read_sv1d, write_vtp
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
@@ -59,7 +58,7 @@ def good(tmp_path_factory, small_cases, small_config):
         file["labels/geometry"], file["labels/waveform"] = [1, 1, 2], [0, 1, 0]
         file["labels/patient"] = ["a", "b", "c"]
     engine = select_engine("jax")
-    grid = Grid(few.time, few.z, few.period)
+    grid = few.grid
     parameters = initial_parameters(small_config, few.n_times, few.n_points, 0)
     PCNDE(small_config, parameters, grid, engine).save(folder / "model.npz")
     Trainer(few, small_config, engine, folder / "run.checkpoint").start(0)

@@ -13,8 +13,8 @@ import pytest
 
 from pcnde_bridge import PAPER, PCNDE, PUBLISHED_CODE, Cases, InputError, __version__
 from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import STAGES
 
 VARIABLES = ("flow", "area", "pressure")

@@ -25,7 +25,6 @@ from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.closures.uncertainty import parts
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.engines import select_engine, why_not_julia
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import initial_parameters
@@ -514,7 +513,7 @@ def test_grids_that_cannot_be_used_are_refused(model, cases):
 
 
 def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):
-    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    grid = small_cases.grid
     model = PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
     inputs = small_cases.inflow, small_cases.area_undeformed
     for options in ({"z": small_cases.z}, {"period": 1.0}):

@@ -11,7 +11,6 @@ import pytest
 
 from pcnde_bridge import PCNDE, InputError, stenosis
 from pcnde_bridge.config import PHYSICS
-from pcnde_bridge.engines.base import Grid
 from pcnde_bridge.metrics import AREA_MARGIN, error_table, relative_error
 from pcnde_bridge.parameters import PRESSURE_STAGES
 from pcnde_bridge.prediction import Prediction
@@ -373,7 +372,7 @@ def test_noise_of_a_model_without_pressure(toy_model, hardest):
     model = PCNDE(
         toy_model.config,
         toy_model.parameters.without_pressure(),
-        Grid(hardest.time, hardest.z, hardest.period),
+        hardest.grid,
         toy_model.engine,
     )
     assert isinstance(model.predict(hardest), Prediction)

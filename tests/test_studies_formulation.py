@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from pcnde_bridge import plots
 from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import FlowInputs, Grid
+from pcnde_bridge.engines.base import FlowInputs
 from pcnde_bridge.engines.julia import julia_status
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.inference import undeformed
@@ -60,7 +60,7 @@ def study(small_cases):
 
 def flow_problem(cases):
     area = undeformed(cases.area_undeformed, cases.n_times)
-    return FlowInputs(cases.inflow, area), Grid(cases.time, cases.z, cases.period)
+    return FlowInputs(cases.inflow, area), cases.grid
 
 
 def gentle(inputs):

@@ -10,9 +10,10 @@ from scipy.integrate import solve_ivp
 
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import Grid, TemporalFlowInputs
+from pcnde_bridge.engines.base import TemporalFlowInputs
 from pcnde_bridge.engines.julia import julia_status
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import initial_temporal_flow
 
 _STATUS = julia_status()

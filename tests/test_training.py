@@ -15,8 +15,9 @@ import pytest
 
 from pcnde_bridge import PAPER, PCNDE, InputError
 from pcnde_bridge.checkpoints import previous
-from pcnde_bridge.engines.base import FlowInputs, Grid
+from pcnde_bridge.engines.base import FlowInputs
 from pcnde_bridge.errors import FileError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.history import Iteration, from_array, to_array, to_frame
 from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, initial_parameters
@@ -207,7 +208,7 @@ def test_the_area_is_coupled_into_the_flow(small_cases, toy_config, toy_engine):
     """Epochs 1 and 2 see S_u, 3 and 4 the area that the first coupling predicts."""
     state = train(small_cases, toy_config, toy_engine)
     assert len(state.couplings) == 2
-    grid = Grid(small_cases.time, small_cases.z, small_cases.period)
+    grid = small_cases.grid
     before = undeformed(small_cases.area_undeformed, 20)
     first = state.couplings[0]
     flow = toy_engine.flow.solve(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.base import Grid, OnIteration
+from pcnde_bridge.engines.base import OnIteration
 from pcnde_bridge.engines.closures import Closures
 from pcnde_bridge.errors import SolveError
 
@@ -120,7 +120,7 @@ def fit_losses(
 ) -> Array:
     """Fit friction, inertia, convection and jet spread to p − p(L), with the true flow."""
     given = config.losses
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     target = cases.pressure - cases.pressure[:, :, -1:]
     scale = np.linalg.norm(cases.pressure)
 
@@ -148,7 +148,7 @@ def fit_wall(
 ) -> Array:
     """Fit the wall's numbers to S, with the true pressure."""
     given = config.wall
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     instants = np.unique(np.linspace(0, cases.n_times - 1, _INSTANTS).astype(int))
     pressure, target = cases.pressure[:, instants], cases.area[:, instants]
     scale = np.linalg.norm(target)
@@ -247,7 +247,7 @@ def fit_correction(
     ``weight`` (case,) is 0 for cases that are left out, else 1: every fit has the
     same shapes, which are compiled once.
     """
-    settings, grid = config.correction, Grid(cases.time, cases.z, cases.period)
+    settings, grid = config.correction, cases.grid
     points = np.unique(np.linspace(0, cases.n_points - 1, _POINTS + 1).astype(int)[1:])
     target = cases.flow[:, :, points]
     factor = 100 * weight[:, None, None] / np.linalg.norm(weight[:, None, None] * target)

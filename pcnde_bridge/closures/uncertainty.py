@@ -26,9 +26,10 @@ import numpy.typing as npt
 from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.engines.closures import Closures
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.grid import Grid
 
 Array = npt.NDArray[np.float64]
 
@@ -119,7 +120,7 @@ def calibrate(
     rng: np.random.Generator,
 ) -> Uncertainty:
     """Find profile, shift and scale on the cases that each member's fit left out."""
-    grid = Grid(cases.time, cases.z, cases.period)
+    grid = cases.grid
     normal = rng.standard_normal((_DRAWS, max(len(part) for part in left_out)))
     errors: dict[str, list[Array]] = {name: [] for name in VARIABLES}
     widths: dict[str, list[list[Array]]] = {name: [[] for _ in _SHIFTS] for name in VARIABLES}

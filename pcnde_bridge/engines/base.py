@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -22,25 +23,6 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Where the numbers live.
-
-    Attributes
-    ----------
-    time : array of shape (n_t,)
-        Instants of one cycle, s, uniform, the end point not repeated.
-    z : array of shape (n_z,)
-        Points along the vessel, cm, increasing.
-    period : float
-        Length of the cycle, s.
-    """
-
-    time: Array
-    z: Array
-    period: float
 
 
 @dataclass(frozen=True)

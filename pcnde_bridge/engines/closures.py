@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.base import Solution
+from pcnde_bridge.grid import Grid
 
 Array = npt.NDArray[np.float64]
 

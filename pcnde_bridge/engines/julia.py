@@ -50,7 +50,6 @@ from pcnde_bridge.engines.base import (
     Fit,
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     Mask,
     Objective,
@@ -63,6 +62,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.engines.julia_closures import JuliaClosures
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.parameters import Parameters
 

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from pcnde_bridge.buffers import Buffers
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.base import Grid, Solution
+from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.engines.closures import Problem
+from pcnde_bridge.grid import Grid
 
 __all__ = ["JuliaClosures"]
 

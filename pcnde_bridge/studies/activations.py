@@ -15,7 +15,7 @@ import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import Activation, PCNDEConfig
-from pcnde_bridge.engines.base import Engine, Grid
+from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import relative_error
 from pcnde_bridge.model import PCNDE
@@ -137,7 +137,7 @@ def _fit_and_measure(
     for name, cases in (("train", train), ("test", test)):
         if cases is None:
             continue
-        grid = Grid(cases.time, cases.z, cases.period)
+        grid = cases.grid
         solved = engine.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
         assert solved.pressure is not None
         row[name] = relative_error(solved.pressure, cases.pressure)

@@ -25,7 +25,6 @@ from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import (
     Engine,
     FlowInputs,
-    Grid,
     IntermediateAreaInputs,
     Stage,
     TemporalFlowInputs,
@@ -184,7 +183,7 @@ def compare_formulations(
         raise InputError(f"Give at least one formulation of {FORMULATIONS}.")
     seed = whole("seed", seed)
     if test is not None:
-        check_grid(Grid(train.time, train.z, train.period), test, "train")
+        check_grid(train.grid, test, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
     batches = TrainingState.start(train, config.replace(training="batches"), seed).batches
@@ -219,7 +218,7 @@ class _Trained:
         self._train, self._in_space = train, name == "spatial"
         self._config = config.replace(temporal_flow={"time_input": name == "temporal_with_time"})
         self._stage: Stage[Any] = engine.flow if self._in_space else engine.temporal_flow
-        self._grid = Grid(train.time, train.z, train.period)
+        self._grid = train.grid
         settings = config.flow if self._in_space else config.temporal_flow
         self.epochs, self.iterations = settings.epochs, settings.iterations
         if self._in_space:
@@ -267,7 +266,7 @@ def _results(
 ) -> dict[tuple[str, str], FormulationResult]:
     """Slopes and areas of a formulation's flows."""
     train = sets["train"]
-    grid = Grid(train.time, train.z, train.period)
+    grid = train.grid
     uncorrected = np.repeat([1.0, 0.0], train.n_points)
     parameters = initial_parameters(config, train.n_times, train.n_points, 0)
     if np.isfinite(flows["train"]).all():

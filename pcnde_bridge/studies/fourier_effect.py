@@ -10,7 +10,7 @@ import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Grid, IntermediateAreaInputs
+from pcnde_bridge.engines.base import IntermediateAreaInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import compared, relative_error
 from pcnde_bridge.model import PCNDE
@@ -94,7 +94,7 @@ def fourier_effect(model: PCNDE, cases: Cases) -> FourierEffect:
     intermediate = model.engine.intermediate_area.solve(
         model.parameters.intermediate_area,
         IntermediateAreaInputs(predicted.flow, cases.area_undeformed),
-        Grid(cases.time, cases.z, cases.period),
+        cases.grid,
         model.config.replace(intermediate_area={"cycles": cycles}),
     )
     n_times, last = cases.n_times, model.config.intermediate_area.cycles * cases.n_times

@@ -24,8 +24,9 @@ from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PAPER, PCNDEConfig, Term
 from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.base import Engine, FlowInputs, Grid
+from pcnde_bridge.engines.base import Engine, FlowInputs
 from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import compared, relative_error
 from pcnde_bridge.progress import listening
@@ -363,7 +364,7 @@ def _draw(
         state.parameters.flow,
         FlowInputs(cases.inflow[batch], area[batch]),
         cases.flow[batch],
-        Grid(cases.time, cases.z, cases.period),
+        cases.grid,
         config,
         **grid,
     )

@@ -18,8 +18,9 @@ import pandas as pd
 from pcnde_bridge import recipes
 from pcnde_bridge.cases import VARIABLES, Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.engines.base import Engine, Grid, Solution
+from pcnde_bridge.engines.base import Engine, Solution
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.studies._each import each
@@ -144,7 +145,7 @@ def noise_study(
     inflow, area_undeformed = noisy_inputs(case, noisy, level, draws, seed, exact)
     blocks = [slice(i, i + size) for i in range(0, count * size, size)]
     trained = (model.engine, model.config, model.parameters)
-    grid = Grid(case.time, case.z, case.period)
+    grid = case.grid
     tasks = {
         f"draws from {block.start}": (*trained, inflow[block], area_undeformed[block], grid)
         for block in blocks

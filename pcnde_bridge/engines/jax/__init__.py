@@ -15,7 +15,6 @@ from pcnde_bridge.engines.base import (
     Array,
     FlowInputs,
     FourierAreaInputs,
-    Grid,
     IntermediateAreaInputs,
     Solution,
     SpatialPressureInputs,
@@ -25,6 +24,7 @@ from pcnde_bridge.engines.base import (
 from pcnde_bridge.engines.jax import area, flow, inference, physics_terms, pressure, temporal_flow
 from pcnde_bridge.engines.jax.closures import JaxClosures
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.inference import predict_by_stages
 from pcnde_bridge.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.parameters import Parameters

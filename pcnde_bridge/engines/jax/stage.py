@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Grid, Mask, Objective, OnIteration
+from pcnde_bridge.engines.base import Fit, Mask, Objective, OnIteration
 from pcnde_bridge.engines.jax.bfgs import minimise
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.precision import double_precision
 
 Array = npt.NDArray[np.float64]
