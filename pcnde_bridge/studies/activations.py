@@ -12,6 +12,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import Activation, PCNDEConfig
@@ -120,7 +121,8 @@ def fit_pressure(
     units = plan(config, len(first.batches))
     before = sum(unit.work not in PRESSURE_STAGES for unit in units)
     state = TrainingState(seed, first.batches, parameters.replace(**fresh), finished=before)
-    return Trainer(train, config, engine).run(state).parameters
+    with threadpool_limits(1, user_api="blas"):  # as in a whole fit
+        return Trainer(train, config, engine).run(state).parameters
 
 
 def _fit_and_measure(
