@@ -35,3 +35,47 @@ def test_julias_own_tests_pass():
     )
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     assert "Pass" in done.stdout
+
+
+_ONE_CASE_FAILS = """
+include(ARGS[1])
+for failing in 1:20  # whichever thread has it
+    done = Threads.Atomic{Int}(0)
+    try
+        over_cases(40) do parts
+            for part in parts
+                part == failing:failing && error("fails")
+                began = time()
+                while time() - began < 0.001
+                end
+                Threads.atomic_add!(done, 1)
+            end
+        end
+    catch failure
+        print(failure.msg, " ", done[], " ")
+    end
+end
+print(Threads.nthreads())
+"""
+
+
+def test_no_thread_writes_on_after_another_failed():
+    status = julia_status()
+    if not (status.usable and status.executable):
+        pytest.skip(status.message)
+    done = subprocess.run(
+        [
+            str(status.executable),
+            "--startup-file=no",
+            "--threads=2",
+            "-e",
+            _ONE_CASE_FAILS,
+            str(_TESTS.parents[1] / "src" / "over_cases.jl"),
+        ],
+        env={**_choice().environment, **os.environ},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.stdout == 20 * "fails 39 " + "2", done.stderr[-2000:]

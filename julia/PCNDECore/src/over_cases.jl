@@ -33,11 +33,20 @@ function over_cases(work, n_cases::Integer, each::Integer = 1)
     # With one thread nothing is left to Julia's scheduler.
     n_tasks == 1 && return work(parts)
     tasks = [Threads.@spawn work(parts) for _ in 1:n_tasks]
-    try
-        foreach(wait, tasks)
-    catch error
-        # What was thrown in the task, not that a task failed.
-        throw(error isa TaskFailedException ? error.task.exception : error)
+    # None goes on after this returns or throws: they write into memory of the caller.
+    interrupted = nothing
+    for task in tasks
+        while !istaskdone(task)
+            try
+                wait(task)
+            catch error
+                error isa TaskFailedException || (interrupted = error)
+            end
+        end
     end
+    interrupted === nothing || throw(interrupted)
+    failed = findfirst(istaskfailed, tasks)
+    # What was thrown in the task, not that a task failed.
+    failed === nothing || throw(tasks[failed].exception)
     return nothing
 end
