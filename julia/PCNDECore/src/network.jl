@@ -111,8 +111,6 @@ function Activations(widths::AbstractVector{<:Integer}, columns::Integer)
     return Activations(before, after)
 end
 
-hidden_widths(network::Network) = [size(m, 1) for m in network.matrices[1:(end - 1)]]
-
 """
     forward!(activations, network, columns)
 

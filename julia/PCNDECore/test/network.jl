@@ -7,7 +7,7 @@
         @test length(network) == length(parameters)
         inputs = randn(MersenneTwister(2), 7, 9)
         expected, _ = Lux.apply(model, inputs, lux_parameters(model, parameters)...)
-        activations = PCNDECore.Activations(PCNDECore.hidden_widths(network), 9)
+        activations = PCNDECore.Activations(widths[2:(end - 1)], 9)
         mul!(activations.before[1], network.matrices[1], [inputs; ones(1, 9)])
         PCNDECore.forward!(activations, network, 9)
         @test network.matrices[end] * activations.after[end] ≈ expected rtol = 1e-13

@@ -263,17 +263,20 @@ function predict_closures!(
     harmonics = remembered_harmonics(n_times, period)
     outlet = OutletLaw(outlet_parameters, harmonics.omega)
     vessels = remembered_vessels(wall, losses, z, config)
+    # Stronger waves need more passes: those of like strength end theirs together.
+    order = sortperm(vec(maximum(abs, inflow; dims = 1)); rev = true)
+    settles = fill(false, n_cases)
     over_cases(n_cases, CASES_TOGETHER) do parts
         room = take_room(harmonics, length(z))
         for part in parts
-            here = [vessels(view(area_undeformed, :, case)) for case in part]
+            cases = view(order, part)
+            here = [vessels(view(area_undeformed, :, case)) for case in cases]
             @views found = couple!(
-                room.together, outlet, wall, correction, shift[part], here, inflow[:, part],
+                room.together, outlet, wall, correction, shift[cases], here, inflow[:, cases],
                 harmonics, config.correction, SETTLED,
             )
-            for (case, coupled, vessel) in zip(part, found, here)
-                coupled.change <= ACCEPTED * coupled.largest_inflow ||
-                    throw(unsettled(case, config.correction.passes))
+            for (case, coupled, vessel) in zip(cases, found, here)
+                settles[case] = coupled.change <= ACCEPTED * coupled.largest_inflow
                 @views fields!(
                     flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel,
                     room.fields,
@@ -282,6 +285,8 @@ function predict_closures!(
         end
         give_back(room)
     end
+    failed = findfirst(!, settles)
+    failed === nothing || throw(unsettled(failed, config.correction.passes))
     return nothing
 end
 

@@ -19,9 +19,10 @@ with the volume V(t) of the vessel, a function of P = 𝒵y + p_d − p₀ and o
 Each coupling pass solves the part that is linear with constant coefficients, harmonic by
 harmonic, for what the pass before it left over:
 
-    (mean(e) + κ·A(ω))·Δy = e·d − κ·∂V/∂t,
+    (ē + κ·A(ω))·Δy = e·d − κ·∂V/∂t,
 
-where A(ω) is ∂V/∂t of a small y about the mean flow and pressure.
+where A(ω) is ∂V/∂t of a small y about the mean flow and pressure, and ē lies between the
+mean of e and the middle of its range, with which fewer passes are needed than with either.
 """
 
 from __future__ import annotations
@@ -181,6 +182,7 @@ def couple(
     passive_flow, passive_rate = signals(jnp.stack([passive, with_rate[1] * passive]))
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
+    middle = (jnp.max(shown) + jnp.min(shown)) / 2
 
     # Of the modes d, ∂d/∂t and q·d, which come with −y.
     of_stored, of_rate = total[3], total[5]
@@ -188,7 +190,7 @@ def couple(
     linear = with_rate[1] * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
         of_stored + of_product * mean_flow + i_omega * of_rate
     )
-    solve = 1 / (jnp.mean(shown) + kappa * linear)
+    solve = 1 / ((jnp.mean(shown) + middle) / 2 + kappa * linear)
 
     def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = signals(
