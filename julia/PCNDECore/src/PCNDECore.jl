@@ -35,6 +35,7 @@ using OrdinaryDiffEqTsit5: Tsit5
 using PrecompileTools: @compile_workload, @setup_workload
 using Random: Random
 using SciMLBase: SciMLBase, ODEProblem, init, step!
+using SIMD: Vec, vload, vstore, vstorent
 using SciMLLogging: SciMLLogging
 using TOML: TOML
 
@@ -45,6 +46,7 @@ include("tableau.jl")
 include("objective.jl")
 include("over_cases.jl")
 include("past_cache.jl")
+include("short_sums.jl")
 include("flow_gradient_room.jl")
 include("flow.jl")
 include("flow_gradient.jl")

@@ -5,7 +5,7 @@ Numbers in a line of the cache.
 """
 const LINE = 8
 
-const Line = NTuple{LINE, VecElement{Float64}}
+const Line = Vec{LINE, Float64}
 
 """
 Arrays whose numbers lie one after the other.
@@ -30,22 +30,8 @@ function copy_past_cache!(target::Contiguous, source::Contiguous)
             unsafe_store!(to, unsafe_load(from, i), i)
         end
         for i in first:LINE:(last - 1)
-            line = ntuple(k -> VecElement(unsafe_load(from, i + k)), Val(LINE))
-            store_past_cache(to + 8i, line)
+            vstorent(vload(Line, from + 8i), to + 8i)
         end
     end
     return target
 end
-
-# Julia has no name for LLVM's non-temporal store; where a processor has none it is a plain one.
-@inline store_past_cache(address::Ptr{Float64}, line::Line) = Base.llvmcall(
-    """
-    %at = inttoptr i64 %0 to <8 x double>*
-    store <8 x double> %1, <8 x double>* %at, align 64, !nontemporal !{i32 1}
-    ret void
-    """,
-    Cvoid,
-    Tuple{UInt64, Line},
-    UInt64(address),
-    line,
-)

@@ -83,3 +83,19 @@ end
     end
     @test_throws DimensionMismatch PCNDECore.copy_past_cache!(zeros(3), zeros(4))
 end
+
+@testset "short sums" begin
+    rng = MersenneTwister(3)
+    for n in (5, 8, 9, 16, 21), n_columns in (1, 3, 4, 7, 20), n_sums in (1, 9)
+        a, b, c = randn(rng, n, 12), randn(rng, 12, 25), fill(NaN, n, 22)
+        @views PCNDECore.short_sums!(
+            c[:, 2:(n_columns + 1)], a[:, 1:n_sums], b[3:(n_sums + 2), 5:(n_columns + 4)],
+        )
+        expected = a[:, 1:n_sums] * b[3:(n_sums + 2), 5:(n_columns + 4)]
+        @test c[:, 2:(n_columns + 1)] ≈ expected rtol = 1e-13
+        @test all(isnan, c[:, 1]) && all(isnan, c[:, (n_columns + 2):end])
+    end
+    for sizes in (((9, 4), (9, 3), (2, 4)), ((9, 4), (8, 3), (3, 4)), ((9, 4), (9, 3), (3, 5)))
+        @test_throws DimensionMismatch PCNDECore.short_sums!(zeros.(sizes)...)
+    end
+end

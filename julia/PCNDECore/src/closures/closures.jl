@@ -272,7 +272,8 @@ function predict_closures!(
             cases = view(order, part)
             here = [vessels(view(area_undeformed, :, case)) for case in cases]
             @views found = couple!(
-                room.together, outlet, wall, correction, shift[cases], here, inflow[:, cases],
+                room.together, outlet, wall, correction, shift[cases], here,
+                inflow[:, cases],
                 harmonics, config.correction, SETTLED,
             )
             for (case, coupled, vessel) in zip(cases, found, here)

@@ -462,7 +462,7 @@ function fields!(flow, area, pressure, coupled::Coupled, vessel::VesselModes, ro
         n_times = size(field, 2)
         for instants in Iterators.partition(1:n_times, size(room.field, 2))
             @views part = room.field[:, 1:length(instants)]
-            @views mul!(part, in_z[:, 1:length(rows)], in_time[rows, instants])
+            @views short_sums!(part, in_z[:, 1:length(rows)], in_time[rows, instants])
             @views copy_past_cache!(field[:, instants], part)
         end
     end
