@@ -241,6 +241,8 @@ def test_the_julia_sources_are_found_and_declared():
     assert (project.parents[1] / entry["path"]).samefile(project)
     text = (project / "Project.toml").read_text()
     assert f'uuid = "{entry["uuid"]}"' in text
+    # juliapkg looks at what the core needs only when this file has changed.
+    assert f'\nversion = "{entry["version"]}"' in text
 
 
 def test_importing_the_module_starts_nothing():
