@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -106,9 +107,12 @@ def test_the_users_file_names_julia(bare):
     assert julia_status().precompiled
 
 
-def core_by_path(bare: Path, sources: Path) -> JuliaStatus:
+def core_by_path(bare: Path, sources: Path, *, lacking: str = "") -> JuliaStatus:
     """Status with a project that has PCNDECore by path, listed with an outdated version."""
-    project = fake_project(bare, "PythonCall")
+    toml = (julia_sources() / "Project.toml").read_text()
+    needed = re.findall(r"^(\w+) = ", toml.split("[deps]")[1].split("[compat]")[0], re.MULTILINE)
+    assert "Lux" in needed
+    project = fake_project(bare, "PythonCall", *(name for name in needed if name != lacking))
     with (project / "Manifest.toml").open("a") as file:
         file.write(f'\n[[deps.PCNDECore]]\npath = {json.dumps(str(sources))}\nversion = "0.0.1"\n')
     settings_file(executable=str(fake_julia(bare)), project=str(project))
@@ -121,6 +125,12 @@ def test_the_core_of_a_project_is_compared_with_ours(bare):
     assert f'version = "{status.packages["PCNDECore"]}"' in (
         (julia_sources() / "Project.toml").read_text()
     )
+
+
+def test_a_core_newer_than_its_manifest_is_refused(bare):
+    status = core_by_path(bare, julia_sources(), lacking="SIMD")
+    assert not status.usable and "lacks SIMD." in status.message
+    assert "Pkg.develop" in status.message
 
 
 def test_another_core_is_named(bare):

@@ -73,6 +73,7 @@ InputsT = TypeVar("InputsT")
 
 _EXECUTABLE, _PROJECT = "PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"
 _NEEDED = ("PCNDECore", "PythonCall")
+_COMPUTING = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
 _OLDEST = (1, 10)
 
 _SIGNALS, _THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
@@ -236,12 +237,14 @@ def _project_status(
     project: Path, environment: Mapping[str, str], facts: dict[str, Any]
 ) -> JuliaStatus:
     """Status once Julia itself is known to run."""
-    packages, core = _manifest(project)
+    versions, core = _manifest(project)
+    packages = {name: versions[name] for name in _COMPUTING if versions.get(name)}
     facts |= {"project": project, "packages": packages, "warning": _other_core(core)}
     missing = [name for name in _NEEDED if name not in packages]
+    missing += [name for name in _dependencies(core) if name not in versions]
     if missing:
         message = (
-            f"The Julia project {project} lacks {' and '.join(missing)}. Add what is missing "
+            f"The Julia project {project} lacks {', '.join(missing)}. Add what is missing "
             f"with: {_recipe(project)}"
         )
         return JuliaStatus(False, False, message, **facts)
@@ -326,23 +329,29 @@ def _julia_version(executable: str) -> str | None:
 
 
 def _manifest(project: Path) -> tuple[dict[str, str], Path | None]:
-    """Versions of the packages that compute, and PCNDECore's folder if it has one of its own."""
-    names = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
+    """Versions of all packages, empty where none is said, and PCNDECore's own folder if any."""
     versions: dict[str, str] = {}
     core = None
     for file in sorted(project.glob("*Manifest*.toml"))[:1]:
         text = file.read_text(encoding="utf-8")
         for entry in re.split(r"^\[\[deps\.", text, flags=re.MULTILINE)[1:]:
             name = entry.partition("]]")[0]
-            version = _toml_text("version", entry)
-            if name in names and version:
-                versions[name] = version
+            versions[name] = _toml_text("version", entry) or ""
             path = _toml_text("path", entry)
             if name == "PCNDECore" and path:
                 # The manifest keeps the version of the day on which it was written.
                 core = project / path
-                versions[name] = _core_version(core) or version or "missing"
+                versions[name] = _core_version(core) or versions[name] or "missing"
     return versions, core
+
+
+def _dependencies(core: Path | None) -> list[str]:
+    """Name what a core with its own folder needs: its sources can be newer than the manifest."""
+    if core is None or not (core / "Project.toml").is_file():
+        return []
+    project = (core / "Project.toml").read_text(encoding="utf-8")
+    section = re.search(r"^\[deps\]\n(.*?)(?=^\[|\Z)", project, re.MULTILINE | re.DOTALL)
+    return re.findall(r"^(\w+) =", section[1], re.MULTILINE) if section else []
 
 
 def _toml_text(key: str, toml: str) -> str | None:
