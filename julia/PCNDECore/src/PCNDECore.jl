@@ -34,8 +34,8 @@ using OrdinaryDiffEqCore: OrdinaryDiffEqCore
 using OrdinaryDiffEqTsit5: Tsit5
 using PrecompileTools: @compile_workload, @setup_workload
 using Random: Random
-using SciMLBase: SciMLBase, ODEProblem, init, step!
 using SIMD: Vec, vload, vstore, vstorent
+using SciMLBase: SciMLBase, ODEProblem, init, step!
 using SciMLLogging: SciMLLogging
 using TOML: TOML
 
