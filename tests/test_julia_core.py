@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pcnde_bridge.engines.julia import _choice, julia_status
+from pcnde_bridge.engines.julia import julia_status
+from pcnde_bridge.engines.julia.status import choose
 
 pytestmark = pytest.mark.julia
 
@@ -27,7 +28,7 @@ def test_julias_own_tests_pass():
             "--startup-file=no",
             str(_TESTS),
         ],
-        env={**_choice().environment, **os.environ},
+        env={**choose().environment, **os.environ},
         capture_output=True,
         text=True,
         check=False,
@@ -72,7 +73,7 @@ def test_no_thread_writes_on_after_another_failed():
             _ONE_CASE_FAILS,
             str(_TESTS.parents[1] / "src" / "over_cases.jl"),
         ],
-        env={**_choice().environment, **os.environ},
+        env={**choose().environment, **os.environ},
         capture_output=True,
         text=True,
         check=False,

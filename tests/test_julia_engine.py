@@ -21,7 +21,7 @@ import pytest
 
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.doctor import examine
-from pcnde_bridge.engines import julia, select_engine, why_not_julia
+from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs
 from pcnde_bridge.engines.julia import (
     JuliaEngine,
@@ -29,13 +29,16 @@ from pcnde_bridge.engines.julia import (
     julia_settings_file,
     julia_sources,
     julia_status,
+    process,
 )
+from pcnde_bridge.engines.julia.project import compatible, core_version
+from pcnde_bridge.engines.julia.status import juliacall_settings
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 from pcnde_bridge.inference import undeformed
 from pcnde_bridge.parameters import initial_parameters
 
 _STATUS = julia_status()
-OUR_SERIES = julia._core_version(julia_sources()).rpartition(".")[0]
+OUR_SERIES = core_version(julia_sources()).rpartition(".")[0]
 needs_julia = [
     pytest.mark.julia,
     pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
@@ -160,7 +163,7 @@ def test_a_core_that_does_not_fit_is_refused(bare):
     assert not status.usable and "PCNDECore 0.1.9" in status.message
     assert str(copy) in status.message and "Pkg.develop" in status.message
     with pytest.raises(EngineUnavailableError, match=r"0\.1\.9"):
-        julia._start()
+        process.start()
 
 
 @pytest.mark.parametrize(
@@ -168,7 +171,7 @@ def test_a_core_that_does_not_fit_is_refused(bare):
     [("0.2.0", "0.2.7", True), ("0.2.0", "0.3.0", False), ("1.2", "1.9", True), ("1", "2", False)],
 )
 def test_versions_fit_as_julia_counts(version, other, fits):
-    assert julia._compatible(version, other) is fits
+    assert compatible(version, other) is fits
 
 
 def test_signals_follow_the_threads(bare, monkeypatch):
@@ -183,17 +186,17 @@ def test_signals_follow_the_threads(bare, monkeypatch):
     # What would die of Julia's own signals does not start.
     monkeypatch.setenv("PYTHON_JULIACALL_HANDLE_SIGNALS", "no")
     with pytest.raises(EngineUnavailableError, match="2 threads must handle signals"):
-        julia._start()
+        process.start()
 
 
 def test_a_julia_that_may_crash_is_warned_of(monkeypatch):
-    monkeypatch.setattr(julia, "_warned", False)
+    monkeypatch.setattr(process, "_warned", False)
     status = JuliaStatus(True, False, "", "running", threads="2", handle_signals="no")
     with pytest.warns(PCNDEWarning, match="2 threads"):
-        julia._warn_if_foreign(status)
+        process._warn_if_foreign(status)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        julia._warn_if_foreign(status)  # once
+        process._warn_if_foreign(status)  # once
 
 
 def test_variables_come_before_the_file(bare, monkeypatch):
@@ -214,14 +217,14 @@ def test_a_wrong_julia_is_refused(bare, answer, message):
     status = julia_status()
     assert not status.usable and message in status.message
     with pytest.raises(EngineUnavailableError, match=message):
-        julia._start()
+        process.start()
 
 
 def test_a_missing_julia_is_named(bare):
     settings_file(executable=str(bare / "absent"), project=str(bare))
     assert f"no Julia at {bare / 'absent'}" in julia_status().message
     with pytest.raises(EngineUnavailableError, match="absent"):
-        julia._start()
+        process.start()
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"executable": "julia"}'])
@@ -240,7 +243,7 @@ def test_nothing_is_downloaded_unasked(bare, monkeypatch):
     status = julia_status()
     assert status.offline and not status.installable
     with pytest.raises(EngineUnavailableError, match="PYTHON_JULIACALL_EXE"):
-        julia._start()
+        process.start()
 
 
 def test_the_julia_sources_are_found_and_declared():
@@ -451,7 +454,7 @@ def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
 
 def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run code in a fresh Python, which does not inherit what this one's engine has set."""
-    ours = julia._juliacall_settings()
+    ours = juliacall_settings()
     environment = {k: v for k, v in os.environ.items() if k not in ours} | variables
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -493,7 +496,7 @@ def test_a_julia_started_by_another_package_is_used():
         "from pcnde_bridge import PCNDEWarning\n"
         "warnings.simplefilter('error', PCNDEWarning)\n"
         "from pcnde_bridge.engines import julia\n"
-        "choice = julia._choice()\n"
+        "choice = julia.status.choose()\n"
         "import os; os.environ.update(choice.environment)\n"
         "os.environ['PYTHON_JULIACALL_HANDLE_SIGNALS'] = 'yes'\n"
         "os.environ['PYTHON_JULIACALL_EXE'] = choice.executable\n"
