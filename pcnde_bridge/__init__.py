@@ -5,7 +5,8 @@ Mohan, Livescu and Arzani (2024).  Units are CGS: cm, s, mL/s, dyn/cm².
 """
 
 from pcnde_bridge._version import __version__
-from pcnde_bridge.cases import Cases, Split, UnitsWarning
+from pcnde_bridge.case_checks import UnitsWarning
+from pcnde_bridge.cases import Cases, Split
 from pcnde_bridge.config import (
     FAST,
     PAPER,

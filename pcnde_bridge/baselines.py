@@ -16,10 +16,11 @@ from typing import Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
 from pcnde_bridge.validation import whole
+from pcnde_bridge.variables import VARIABLES
 from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall
 
 Array = npt.NDArray[np.float64]

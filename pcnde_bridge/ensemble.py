@@ -27,7 +27,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge.archive import archive_kind, read_archive, write_archive
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.uncertainty import calibrated_factor, parts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
@@ -41,6 +41,7 @@ from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.tasks import Workers, run
 from pcnde_bridge.validation import whole
+from pcnde_bridge.variables import VARIABLES
 
 Array = npt.NDArray[np.float64]
 

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import UNITS, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.extras import require
 from pcnde_bridge.files import atomic_write
+from pcnde_bridge.variables import UNITS
 
 if TYPE_CHECKING:
     import xarray

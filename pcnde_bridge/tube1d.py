@@ -44,7 +44,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases, UnitsWarning
+from pcnde_bridge.case_checks import UnitsWarning
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.precision import double_precision
 from pcnde_bridge.stenosis import effective_length, turbulent_drop, viscous_drop

@@ -35,3 +35,15 @@ def whole_seeds(seeds: Sequence[int]) -> list[int]:
     if not found or len(set(found)) < len(found):
         raise InputError(f"Give at least one seed, and none twice; got {found}.")
     return found
+
+
+def counted(n: int, noun: str) -> str:
+    """Return a number with what it counts."""
+    plural = noun[:-1] + "ies" if noun.endswith("y") else noun + "s"
+    return f"{n} {noun if n == 1 else plural}"
+
+
+def listed(values: Sequence[Any], most: int = 10) -> str:
+    """List values in a message, but not hundreds of them."""
+    text = ", ".join(str(value) for value in values[:most])
+    return text if len(values) <= most else f"{text}, … ({len(values)} in all)"

@@ -17,9 +17,9 @@ from pcnde_bridge.baselines import (
     standard_baselines,
 )
 from pcnde_bridge.bench import Row, bench_baseline, bench_model, write_rows
-from pcnde_bridge.cases import VARIABLES
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
+from pcnde_bridge.variables import VARIABLES
 
 
 def polynomial_cases(n_waveforms: int = 5, n_geometries: int = 4) -> Cases:

@@ -15,8 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pcnde_bridge.cases as cases_module
-from pcnde_bridge.cases import FORMAT_VERSION, Cases, Split, UnitsWarning
+from pcnde_bridge import case_files
+from pcnde_bridge.case_checks import UnitsWarning
+from pcnde_bridge.case_files import FORMAT_VERSION
+from pcnde_bridge.cases import Cases, Split
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 
 SUFFIXES = (".npz", ".h5", ".hdf5")
@@ -537,7 +539,7 @@ def test_truncated_and_foreign_files(small_cases, tmp_path, suffix):
             Cases.load(path)
 
 
-@pytest.mark.filterwarnings("ignore::pcnde_bridge.cases.UnitsWarning")
+@pytest.mark.filterwarnings("ignore::pcnde_bridge.UnitsWarning")
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
 def test_every_damaged_byte_is_noticed(small_cases, tmp_path, suffix):
     """A flipped byte is refused, or it stood where nothing was stored."""
@@ -554,7 +556,7 @@ def test_every_damaged_byte_is_noticed(small_cases, tmp_path, suffix):
 
 def test_newer_h5(small_cases, tmp_path, monkeypatch):
     path = tmp_path / "data.h5"
-    monkeypatch.setattr(cases_module, "FORMAT_VERSION", 7)
+    monkeypatch.setattr(case_files, "FORMAT_VERSION", 7)
     small_cases.save(path)
     monkeypatch.undo()
     with pytest.raises(FileError, match="has format version 7, newer than 1"):
@@ -620,7 +622,7 @@ def data_sets(draw):
         )
 
 
-@pytest.mark.filterwarnings("ignore::pcnde_bridge.cases.UnitsWarning")
+@pytest.mark.filterwarnings("ignore::pcnde_bridge.UnitsWarning")
 @bounded
 @given(cases=data_sets(), suffix=st.sampled_from(SUFFIXES))
 def test_any_data_set_survives_a_file(tmp_path_factory, cases, suffix):

@@ -29,7 +29,6 @@ from pcnde_bridge import (
     PCNDEError,
     UnitsWarning,
 )
-from pcnde_bridge.cases import VARIABLES
 from pcnde_bridge.formats import (
     VesselResults,
     read_csv,
@@ -44,6 +43,7 @@ from pcnde_bridge.formats import (
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.variables import VARIABLES
 
 
 @pytest.fixture(scope="module")

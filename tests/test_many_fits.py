@@ -23,13 +23,13 @@ from pcnde_bridge import (
     sweep,
 )
 from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.cases import VARIABLES
 from pcnde_bridge.cross_validation import parts
 from pcnde_bridge.ensemble import Calibration
 from pcnde_bridge.fits import FitTask, fit_model, model_of
 from pcnde_bridge.info import describe, lines
 from pcnde_bridge.metrics import coverage, pooled_errors
 from pcnde_bridge.tasks import processes, run
+from pcnde_bridge.variables import VARIABLES
 
 NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressure"]
 

@@ -11,7 +11,7 @@ from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall, OlufsenWall
 from pcnde_bridge.waveform import Waveform, coronary
 
-pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.cases.UnitsWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.UnitsWarning")
 
 RESISTANCE = 109_237.0
 STIFF = LinearWall(young_modulus=1e13)

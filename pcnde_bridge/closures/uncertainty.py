@@ -23,13 +23,14 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.engines.closures import Closures
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.variables import VARIABLES
 
 Array = npt.NDArray[np.float64]
 

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.files import as_paths, check_file
 from pcnde_bridge.formats.results import CaseOptions, VesselResults, to_cases
 from pcnde_bridge.tables import read_frame
+from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

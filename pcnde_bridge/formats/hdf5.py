@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import as_paths, check_file
 from pcnde_bridge.formats.results import UNITS, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.h5 import read_dataset
+from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -20,10 +20,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.tables import read_frame
 from pcnde_bridge.validation import whole
+from pcnde_bridge.variables import VARIABLES
 
 Array = npt.NDArray[np.float64]
 Flip = Literal["flow", "z"]

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 from pcnde_bridge.files import as_paths, check_file
 from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

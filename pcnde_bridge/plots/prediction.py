@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.metrics import AREA_MARGIN
 from pcnde_bridge.plots.style import (
@@ -27,6 +27,7 @@ from pcnde_bridge.plots.style import (
     shown,
 )
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge import recipes
-from pcnde_bridge.cases import VARIABLES, Cases
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.engines.base import Engine, Solution
 from pcnde_bridge.errors import InputError
@@ -26,6 +26,7 @@ from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.studies._each import each
 from pcnde_bridge.tasks import Workers
 from pcnde_bridge.validation import whole
+from pcnde_bridge.variables import VARIABLES
 
 Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
