@@ -356,7 +356,7 @@ def with_value(array, index, value):
     ],
 )
 def test_bad_input_is_refused_before_computing(make, words, monkeypatch):
-    monkeypatch.setattr("pcnde_bridge.tube1d._run", lambda *_: pytest.fail("it computed"))
+    monkeypatch.setattr("pcnde_bridge.tube1d.run", lambda *_: pytest.fail("it computed"))
     with pytest.raises(InputError, match=words):
         make()
 
