@@ -396,8 +396,14 @@ class AllAtOnce(_Section):
     starts : int
         Fits of the flow in the first round, each from other random weights: the one of
         the least loss (or validation error, if there is a validation part) goes on.
+    mean_flow : {'area', 'data'}
+        Whose mean over the cycle the flow is fitted to: that which the data's area asks
+        for (:func:`pcnde_bridge.all_at_once.balanced_flow`), or the data's flow's.
+    known_flow_iterations : int
+        L-BFGS iterations of each of these, and of the one in each later round, along the
+        data's flow (:mod:`pcnde_bridge.known_flow`).
     iterations, later_iterations : int
-        L-BFGS iterations of the flow in each of these, and in each later round.
+        L-BFGS iterations of the equation itself, in the first and in each later round.
     pressure_iterations : int
         L-BFGS iterations of each of the pressure fits.
     memory : int
@@ -416,16 +422,18 @@ class AllAtOnce(_Section):
         beside the loss over the target's mean square.
     """
 
-    rounds: int = _positive(3)
+    rounds: int = _positive(2)
     starts: int = _positive(1)
-    iterations: int = _positive(120)
-    later_iterations: int = _positive(40)
+    mean_flow: Literal["area", "data"] = "area"
+    known_flow_iterations: int = _positive(80)
+    iterations: int = _positive(20)
+    later_iterations: int = _positive(20)
     pressure_iterations: int = _positive(100)
     memory: int = _positive(20)
     validation: float = 0.0
     patience: int = _positive(30)
     check_every: int = _positive(10)
-    whitening: float = _positive(1e-2)
+    whitening: float = _positive(1e-1)
     weight_decay: float = 1e-7
     pressure_weight_decay: float = 1e-3
 
@@ -611,7 +619,7 @@ PUBLISHED_CODE = PAPER.replace(
 )
 """What the authors' published code and weights do, where it differs from the text."""
 
-FAST = PAPER.replace(training="all_at_once", flow={"steps": 12}, all_at_once={"starts": 3})
+FAST = PAPER.replace(training="all_at_once", flow={"steps": 12})
 """The paper's equations and parameters, trained all at once, in seconds.
 
 Twelve equal steps solve the momentum equation as exactly as the adaptive ones do."""

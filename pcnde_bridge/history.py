@@ -26,7 +26,7 @@ class Iteration(NamedTuple):
         One of the paper's five stages, or a closure of the ``physics`` preset.
     epoch, batch, iteration : int
         Counted from 1; the pressure stages have epoch and batch 1.  Of preset ``fast``
-        the epoch is the round, and in its first the batch the start.
+        the epoch is the round, and the batch of the flow the start, then the equation.
     loss : float
         After the iteration: mL²/s² for flow (in the mean), cm⁴ for area,
         p_ref² for pressure.

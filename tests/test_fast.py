@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pcnde_bridge import PAPER, PCNDE, PRESETS, InputError, PCNDEConfig, SolveError
+from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError, PCNDEConfig, SolveError
 from pcnde_bridge import all_at_once as fast
 from pcnde_bridge.config import FAST, AllAtOnce
 from pcnde_bridge.engines import select_engine, why_not_julia
@@ -20,6 +20,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.engines.jax import JaxEngine
 from pcnde_bridge.inference import predict_by_stages, undeformed
+from pcnde_bridge.known_flow import KnownFlow
 from pcnde_bridge.lbfgs import Whitening, lbfgs_of_scipy, minimise
 from pcnde_bridge.least_squares import solve_per_point
 from pcnde_bridge.metrics import pooled_errors
@@ -30,8 +31,9 @@ LITTLE = FAST.replace(
     coupling_passes=2,
     all_at_once={
         "rounds": 2,
-        "starts": 1,
         "validation": 0.3,
+        "known_flow_iterations": 6,
+        "whitening": 1e-2,
         "iterations": 8,
         "later_iterations": 5,
         "pressure_iterations": 12,
@@ -61,8 +63,7 @@ def everything(small_cases):
 
 def test_the_preset_is_the_papers_model():
     assert PRESETS["fast"] is FAST
-    one = {"training": "batches", "flow": {"steps": None}, "all_at_once": {"starts": 1}}
-    assert FAST.replace(**one) == PAPER
+    assert FAST.replace(training="batches", flow={"steps": None}) == PAPER
     assert PAPER.training == "batches"
 
 
@@ -343,7 +344,9 @@ def test_plan():
         Unit("temporal_pressure", 2, 1),
         Unit("spatial_pressure", 1, 1),
     ]
-    assert count_iterations(LITTLE, 2) == 8 + 5 + 4 + 3 * 12
+    assert count_iterations(LITTLE, 2) == 2 * 6 + 8 + 5 + 4 + 3 * 12
+    with_terms = LITTLE.replace(flow={"terms": ("friction",)}, all_at_once={"starts": 3})
+    assert count_iterations(with_terms, 2) == 3 * 8 + 5 + 4 + 3 * 12
     assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
 
 
@@ -445,8 +448,6 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     def fit(cases, selection):
         return fast.fit_flow([start], cases, area, selection, engine, LITTLE, 3)
 
-    from pcnde_bridge import Cases
-
     flow = small_cases.flow.copy()
     flow[parts[1], :, 1:] *= 1.01
     other = Cases(
@@ -463,31 +464,38 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
 
 
+def flow_error(vector, cases, area, chosen, engine, config):
+    """Mean square of the flow's error on the chosen cases."""
+    found = engine.flow.solve(vector, FlowInputs(cases.inflow, area), cases.grid, config)
+    target = fast.balanced_flow(cases, np.arange(len(cases)), config)
+    return np.mean((found - target)[chosen] ** 2)
+
+
 @pytest.mark.parametrize("validation", [0.0, 0.3])
-def test_the_best_of_several_starts_goes_on(engine, small_cases, grid, validation):
+@pytest.mark.parametrize("terms", [(), ("inertia",)])
+def test_the_best_of_several_starts_goes_on(engine, small_cases, validation, terms):
+    config = LITTLE.replace(flow={"terms": terms}, all_at_once={"mean_flow": "data"})
     parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
     area = undeformed(small_cases.area_undeformed, 20)
-    starts = [initial_parameters(LITTLE, 20, 21, 0, start).flow for start in range(3)]
+    starts = [initial_parameters(config, 20, 21, 0, start).flow for start in range(3)]
     assert not np.array_equal(starts[0], starts[1])
     asked = []
 
-    def fit(*chosen):
+    def fit(*chosen, iterations=3):
         def record(number):
             asked.append(number)
 
-        return fast.fit_flow(chosen, small_cases, area, parts, engine, LITTLE, 3, record)
-
-    def error(vector):
-        inputs = FlowInputs(small_cases.inflow, area)
-        flow = engine.flow.solve(vector, inputs, grid, LITTLE)
-        return np.mean((flow - small_cases.flow)[parts[-1]] ** 2)
+        return fast.fit_flow(chosen, small_cases, area, parts, engine, config, iterations, record)
 
     alone = [fit(start) for start in starts]
-    errors = [error(vector) for vector in alone]
+    errors = [flow_error(v, small_cases, area, parts[-1], engine, config) for v in alone]
     assert np.ptp(errors) > 1e-3 * min(errors)
     asked.clear()
-    assert np.array_equal(fit(*starts), alone[int(np.argmin(errors))])
-    assert asked == [1, 2, 3]
+    together = fit(*starts)
+    assert asked == ([1, 2, 3] if terms else [1, 2, 3, 4])
+    assert any(np.array_equal(together, vector) for vector in alone)
+    error = flow_error(together, small_cases, area, parts[-1], engine, config)
+    assert error < 1.2 * min(errors) < max(errors)
 
 
 def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
@@ -500,10 +508,113 @@ def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
     total, three = run(3)
     one_total, one = run(1)
     tried = [r.batch for r in three.history if (r.stage, r.epoch) == ("flow", 1)]
-    assert (sorted(tried), set(tried)) == (tried, {1, 2, 3})
-    assert total == one_total + 2 * 8
+    assert (sorted(tried), set(tried)) == (tried, {1, 2, 3, 4})
+    assert total == one_total + 2 * 6
     assert len(three.history) <= total
-    assert {r.batch for r in one.history} == {1}
+    assert {r.batch for r in one.history} == {1, 2}
+
+
+# ---- the flow along the data's flow ------------------------------------------
+
+
+def known_flow(cases, config, chosen):
+    area = undeformed(cases.area_undeformed, cases.n_times)
+    seen = np.moveaxis(np.concatenate([cases.flow, area], axis=1), 1, 2)
+    inputs = seen.reshape(-1, 2 * cases.n_times)
+    whitening = Whitening(inputs, config.flow.hidden[0], config.all_at_once.whitening)
+    return KnownFlow(cases.flow, area, cases.z, chosen, whitening, config), whitening, area
+
+
+@pytest.mark.parametrize("loss", ["mean", "sum"])
+@pytest.mark.parametrize("activation", ["tanh", "gelu"])
+def test_the_gradient_along_the_known_flow(small_cases, everything, activation, loss):
+    config = LITTLE.replace(
+        flow={"hidden": (4, 3), "activation": activation, "loss": loss},
+        all_at_once={"weight_decay": 1e-4},
+    )
+    known, whitening, _ = known_flow(small_cases, config, everything)
+    start = whitening.coordinates(initial_parameters(config, 20, 21, 0).flow)[: -4 * 20]
+    found, gradient = known._objective(start)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        way = rng.normal(size=start.size)
+        step = 1e-5
+        rise = known._objective(start + step * way)[0] - known._objective(start - step * way)[0]
+        assert gradient @ way == pytest.approx(rise / (2 * step), rel=1e-5)
+    assert found > 0
+
+
+def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, small_cases, grid):
+    everything = (np.arange(len(small_cases)),)
+    config = LITTLE.replace(all_at_once={"known_flow_iterations": 60, "weight_decay": 0.0})
+    known, _, area = known_flow(small_cases, config, everything)
+    start, losses = initial_parameters(config, 20, 21, 0).flow, []
+    fitted = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
+    assert all(later <= earlier for earlier, later in pairwise(losses))
+    inputs = FlowInputs(small_cases.inflow, area)
+    through, _ = engine.flow.loss_and_gradient(fitted, inputs, small_cases.flow, grid, config)
+    before, _ = engine.flow.loss_and_gradient(start, inputs, small_cases.flow, grid, config)
+    assert through < 1.5 * losses[-1] < 1e-3 * before
+
+
+def test_starts_whose_equation_diverges_are_left(engine, small_cases, everything, monkeypatch):
+    """The first start is fitted through the equation then."""
+    start = initial_parameters(LITTLE, 20, 21, 0).flow
+    area = undeformed(small_cases.area_undeformed, 20)
+    monkeypatch.setattr(KnownFlow, "fit", lambda *_: np.full_like(start, 1e6))
+    fitted = fast.fit_flow([start], small_cases, area, everything, engine, LITTLE, 3)
+    assert np.isfinite(fitted).all() and np.abs(fitted).max() < 1e3
+
+
+# ---- the mean flow that the area asks for ------------------------------------
+
+
+@pytest.fixture(scope="module")
+def elastic_cases():
+    """A wall that moves by another phase in each case, and the flow that conserves volume."""
+    t, z = np.arange(40) / 40, np.linspace(0, 4, 21)
+    phase = np.array([0.0, 0.7, 2.0, 4.0])[:, None, None]
+    s_u = np.broadcast_to(0.12 + 0.01 * np.cos(z), (4, 21))
+    angle = 2 * np.pi * t[:, None] + phase
+    area = s_u[:, None] * (1 + 0.02 * (1 + 0.1 * z) * np.sin(angle))
+    filling = 2 * np.pi * 0.02 * np.cos(angle) * s_u[:, None] * (1 + 0.1 * z)
+    integral = np.cumsum(np.diff(z) * (filling[..., 1:] + filling[..., :-1]) / 2, axis=2)
+    flow = np.repeat(1.5 + 0.5 * np.sin(angle), 21, axis=2)
+    flow[..., 1:] -= integral / 0.5  # so that â is one half
+    return Cases(flow, area, 1e5 * flow, s_u, t, z, period=1.0)
+
+
+def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases):
+    cases, chosen = elastic_cases, np.arange(4)
+    balanced = fast.balanced_flow(cases, chosen, LITTLE)
+    assert np.allclose(balanced[:, :, 0], cases.flow[:, :, 0], rtol=1e-12)
+    change = balanced - cases.flow
+    assert np.allclose(change, change.mean(axis=1, keepdims=True), atol=1e-12)
+    slope = np.diff(balanced.mean(axis=1), axis=1) / np.diff(cases.z)
+    start = cases.area[:, 0] - cases.area_undeformed
+    start = start - start.mean(axis=0)
+    asked = -(start[:, 1:] + start[:, :-1]) / 2
+    a_hat = asked / (3 * slope)  # three cycles of one second
+    assert np.allclose(a_hat, 0.5, rtol=0.01)  # ∂V/∂t by differences
+    few = fast.balanced_flow(cases, chosen[:2], LITTLE)
+    assert not np.allclose(few, balanced)
+
+
+@pytest.mark.parametrize(
+    "change", [{"fourier_area": {"anchor": "undeformed"}}, {"all_at_once": {"mean_flow": "data"}}]
+)
+def test_the_datas_own_mean_flow(elastic_cases, change):
+    config = LITTLE.replace(**change)
+    assert fast.balanced_flow(elastic_cases, np.arange(4), config) is elastic_cases.flow
+
+
+def test_where_flow_and_volume_do_not_agree_the_flow_is_the_datas(small_cases, everything):
+    assert fast.balanced_flow(small_cases, *everything, LITTLE) is small_cases.flow
+    still = np.repeat(small_cases.area_undeformed[:, None], 20, axis=1)
+    same = np.repeat(small_cases.flow[:, :, :1], 21, axis=2)
+    grid = {"time": small_cases.time, "z": small_cases.z, "period": 1.0}
+    rigid = Cases(same, still, small_cases.pressure, small_cases.area_undeformed, **grid)
+    assert fast.balanced_flow(rigid, *everything, LITTLE) is rigid.flow
 
 
 @pytest.mark.julia
@@ -514,12 +625,12 @@ def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_
     last = {record.stage: record.loss for record in whole.history}
     for record in theirs.history:
         if record == [r for r in theirs.history if r.stage == record.stage][-1]:
-            assert last[record.stage] < 1.5 * record.loss, record.stage
+            assert last[record.stage] < 2 * record.loss, record.stage
     seen = []
 
     def stop(record):
         seen.append(record)
-        if len(seen) == 12:  # inside the second round
+        if len(seen) == 18:  # inside the second round
             raise KeyboardInterrupt
 
     path = tmp_path / "checkpoint"
@@ -536,10 +647,10 @@ def test_the_published_cases(published_cases):
     split = published_cases.split("paper")
     model = PCNDE.fit(split.train, "fast", engine="jax", seed=0, progress=False)
     trained = pooled_errors(model.predict(split.train).variables(), split.train)
-    assert trained["flow"] < 0.0035
-    assert trained["area"] < 0.0075
-    assert trained["pressure"] < 0.0055
+    assert trained["flow"] < 0.0027
+    assert trained["area"] < 0.0030
+    assert trained["pressure"] < 0.0042
     tested = pooled_errors(model.predict_silently(split.test).variables(), split.test)
-    assert tested["flow"] < 0.0085
-    assert tested["area"] < 0.0105
-    assert tested["pressure"] < 0.0140
+    assert tested["flow"] < 0.0080
+    assert tested["area"] < 0.0078
+    assert tested["pressure"] < 0.0130
