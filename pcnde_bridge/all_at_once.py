@@ -34,6 +34,7 @@ from pcnde_bridge.engines.base import (
     Stage,
     TemporalPressureInputs,
 )
+from pcnde_bridge.errors import SolveError
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.hidden_layers import HiddenLayers
 from pcnde_bridge.inference import initial_area
@@ -214,9 +215,16 @@ def fit_flow(
         """Return the one of the least error of those with which the equation does not diverge."""
         if len(vectors) == 1:
             return vectors[0]
-        whitened = [whitening.coordinates(vector) for vector in vectors]
-        errors = [objective(x)[0] if validate is None else validate(x) for x in whitened]
-        return vectors[int(np.argmin(np.nan_to_num(errors, nan=np.inf)))]
+
+        def error(vector: Array) -> float:
+            coordinates = whitening.coordinates(vector)
+            try:
+                found = objective(coordinates)[0] if validate is None else validate(coordinates)
+            except SolveError:
+                return np.inf
+            return np.inf if np.isnan(found) else found
+
+        return min(vectors, key=error)
 
     last = 0
     if not config.flow.terms:

@@ -557,12 +557,14 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
     assert through < 1.5 * losses[-1] < 1e-3 * before
 
 
-def test_starts_whose_equation_diverges_are_left(engine, small_cases, everything, monkeypatch):
+@pytest.mark.parametrize("validation", [0.0, 0.3])
+def test_starts_whose_equation_diverges_are_left(engine, small_cases, validation, monkeypatch):
     """The first start is fitted through the equation then."""
+    parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
     area = undeformed(small_cases.area_undeformed, 20)
     monkeypatch.setattr(KnownFlow, "fit", lambda *_: np.full_like(start, 1e6))
-    fitted = fast.fit_flow([start], small_cases, area, everything, engine, LITTLE, 3)
+    fitted = fast.fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     assert np.isfinite(fitted).all() and np.abs(fitted).max() < 1e3
 
 
