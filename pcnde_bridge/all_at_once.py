@@ -157,7 +157,7 @@ def fit_flow(
 
     Each start is fitted along the data's flow (:mod:`pcnde_bridge.known_flow`); from the best
     of these the equation itself is.  With physics terms, whose form only the engine knows, the
-    equation is fitted from each start.
+    equation is fitted from each start, with the iterations of both.
 
     Parameters
     ----------
@@ -227,7 +227,9 @@ def fit_flow(
         return min(vectors, key=error)
 
     last = 0
-    if not config.flow.terms:
+    if config.flow.terms:
+        iterations += settings.known_flow_iterations
+    else:
         known = KnownFlow(target, area, grid.z, selection, whitening, config)
         last = len(starts)
         ends = [known.fit(vector, record(i), engine.lbfgs) for i, vector in enumerate(starts, 1)]

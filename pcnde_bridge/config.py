@@ -383,9 +383,10 @@ class AllAtOnce(_Section):
     """Training on all cases at once, with least squares for all that is linear.
 
     Networks are fitted by L-BFGS without restarts, in whitened weights
-    (:mod:`pcnde_bridge.lbfgs`); both area stages, the last layer of the pressure
-    network, a₁, a₂ and b₁ by least squares.  The numbers were chosen by cross-validation
-    inside the published training cases (CONTRIBUTING has the measurement).
+    (:mod:`pcnde_bridge.lbfgs`); both area stages, the networks' last layers (that of the
+    flow along the data's flow), a₁, a₂ and b₁ by least squares.  The numbers were compared
+    by cross-validation inside the published training cases (CONTRIBUTING has the
+    measurement, and what a look at the test cases had to do with it).
 
     Attributes
     ----------
@@ -403,7 +404,8 @@ class AllAtOnce(_Section):
         L-BFGS iterations of each of these, and of the one in each later round, along the
         data's flow (:mod:`pcnde_bridge.known_flow`).
     iterations, later_iterations : int
-        L-BFGS iterations of the equation itself, in the first and in each later round.
+        L-BFGS iterations of the equation itself, in the first and in each later round; with
+        physics terms the iterations before are added to them.
     pressure_iterations : int
         L-BFGS iterations of each of the pressure fits.
     memory : int

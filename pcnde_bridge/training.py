@@ -120,9 +120,8 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all stages, if no fit ends early."""
     if config.training == "all_at_once":
         fast = config.all_at_once
-        along = 0 if config.flow.terms else fast.known_flow_iterations
         fits = fast.starts if config.flow.terms else 1  # of the equation in the first round
-        flow_iterations = (fast.starts + fast.rounds - 1) * along
+        flow_iterations = (fast.starts + fast.rounds - 1) * fast.known_flow_iterations
         flow_iterations += fits * fast.iterations + (fast.rounds - 1) * fast.later_iterations
         return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
     flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every

@@ -325,8 +325,8 @@ def test_few_cases_spare_none(small_cases):
 # ---- training loop -----------------------------------------------------------
 
 
-def train(cases, engine, **options):
-    trainer = Trainer(cases, LITTLE, engine, **options)
+def train(cases, engine, config=LITTLE, **options):
+    trainer = Trainer(cases, config, engine, **options)
     return trainer.run(trainer.start(0))
 
 
@@ -346,7 +346,7 @@ def test_plan():
     ]
     assert count_iterations(LITTLE, 2) == 2 * 6 + 8 + 5 + 4 + 3 * 12
     with_terms = LITTLE.replace(flow={"terms": ("friction",)}, all_at_once={"starts": 3})
-    assert count_iterations(with_terms, 2) == 3 * 8 + 5 + 4 + 3 * 12
+    assert count_iterations(with_terms, 2) == 3 * (6 + 8) + 6 + 5 + 4 + 3 * 12
     assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
 
 
@@ -464,38 +464,44 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
 
 
-def flow_error(vector, cases, area, chosen, engine, config):
-    """Mean square of the flow's error on the chosen cases."""
-    found = engine.flow.solve(vector, FlowInputs(cases.inflow, area), cases.grid, config)
-    target = fast.balanced_flow(cases, np.arange(len(cases)), config)
-    return np.mean((found - target)[chosen] ** 2)
-
-
 @pytest.mark.parametrize("validation", [0.0, 0.3])
 @pytest.mark.parametrize("terms", [(), ("inertia",)])
-def test_the_best_of_several_starts_goes_on(engine, small_cases, validation, terms):
-    config = LITTLE.replace(flow={"terms": terms}, all_at_once={"mean_flow": "data"})
+def test_the_best_of_several_starts_goes_on(
+    engine, small_cases, grid, validation, terms, monkeypatch
+):
+    config = LITTLE.replace(flow={"terms": terms})
     parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
     area = undeformed(small_cases.area_undeformed, 20)
     starts = [initial_parameters(config, 20, 21, 0, start).flow for start in range(3)]
     assert not np.array_equal(starts[0], starts[1])
-    asked = []
+    asked, along = [], []
+    fit_along = KnownFlow.fit
 
-    def fit(*chosen, iterations=3):
+    def kept(*args):
+        along.append(fit_along(*args))
+        return along[-1]
+
+    monkeypatch.setattr(KnownFlow, "fit", kept)
+
+    def fit(*chosen):
         def record(number):
             asked.append(number)
 
-        return fast.fit_flow(chosen, small_cases, area, parts, engine, config, iterations, record)
+        return fast.fit_flow(chosen, small_cases, area, parts, engine, config, 3, record)
+
+    def error(vector):
+        inputs = FlowInputs(small_cases.inflow, area)
+        flow = engine.flow.solve(vector, inputs, grid, config)
+        return np.mean((flow - small_cases.flow)[parts[-1]] ** 2)
 
     alone = [fit(start) for start in starts]
-    errors = [flow_error(v, small_cases, area, parts[-1], engine, config) for v in alone]
+    # What is chosen from: the fits along the known flow or, with terms, those of the equation.
+    assert len(along) == (0 if terms else 3)
+    errors = [error(vector) for vector in along or alone]
     assert np.ptp(errors) > 1e-3 * min(errors)
     asked.clear()
-    together = fit(*starts)
+    assert np.array_equal(fit(*starts), alone[int(np.argmin(errors))])
     assert asked == ([1, 2, 3] if terms else [1, 2, 3, 4])
-    assert any(np.array_equal(together, vector) for vector in alone)
-    error = flow_error(together, small_cases, area, parts[-1], engine, config)
-    assert error < 1.2 * min(errors) < max(errors)
 
 
 def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
@@ -622,12 +628,14 @@ def test_where_flow_and_volume_do_not_agree_the_flow_is_the_datas(small_cases, e
 @pytest.mark.julia
 def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
     julia = julia_or_skip()
-    whole = train(small_cases, julia)
-    theirs = train(small_cases, engine)
+    # Far enough that the two minimisers' ways no longer matter.
+    config = LITTLE.replace(all_at_once={"pressure_iterations": 60})
+    whole = train(small_cases, julia, config)
+    theirs = train(small_cases, engine, config)
     last = {record.stage: record.loss for record in whole.history}
     for record in theirs.history:
         if record == [r for r in theirs.history if r.stage == record.stage][-1]:
-            assert last[record.stage] < 2 * record.loss, record.stage
+            assert last[record.stage] < 1.5 * record.loss, record.stage
     seen = []
 
     def stop(record):
@@ -637,8 +645,8 @@ def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_
 
     path = tmp_path / "checkpoint"
     with pytest.raises(KeyboardInterrupt):
-        train(small_cases, julia, checkpoint=path, on_record=stop)
-    again = train(small_cases, julia, checkpoint=path)
+        train(small_cases, julia, config, checkpoint=path, on_record=stop)
+    again = train(small_cases, julia, config, checkpoint=path)
     assert again.parameters == whole.parameters
     assert without_seconds(again.history) == without_seconds(whole.history)
 
