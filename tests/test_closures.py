@@ -15,7 +15,7 @@ from pcnde_bridge.closures.parameters import ClosureParameters, sizes
 from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.config import PHYSICS, Physics
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.jax.closures import correction, losses, wall
+from pcnde_bridge.engines.jax.closures import JaxClosures, correction, losses, wall
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.precision import double_precision
@@ -454,6 +454,25 @@ def test_many_cases_are_predicted_as_one_by_one(corrected):
         tolerance = 1e-11 * np.abs(expected).max()
         assert np.allclose(found, expected[which], rtol=0, atol=tolerance)
         assert np.allclose(getattr(alone, name)[0], found[129], rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", ["wall", "losses", "z", "physics"])
+def test_what_is_kept_of_vessels_is_that_of_the_same_equations_only(name):
+    """One engine serves all models: each prediction is that of an engine that knows no other."""
+    other = {"parameters": PASSIVE, "grid": GRID, "config": CONFIG}
+    if name == "z":
+        other["grid"] = Grid(TIME, 1.1 * Z, 1.0)
+    elif name == "physics":
+        other["config"] = CONFIG.replace(physics={"density": 1.2})
+    else:
+        other["parameters"] = PASSIVE.replace(**{name: 1.1 * getattr(PASSIVE, name)})
+    solve()
+    found = solve(**other)
+    shift = np.zeros(len(INFLOW))
+    parameters, grid, config = other.values()
+    expected = JaxClosures().predict(parameters, shift, INFLOW, AREA, grid, config)
+    assert np.array_equal(found.pressure, expected.pressure)
+    assert not np.array_equal(found.pressure, solve().pressure)
 
 
 @pytest.mark.parametrize("outlet", [OUTLET, np.array([2e4, 8e4, 2e-6, 5e3])])
