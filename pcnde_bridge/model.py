@@ -364,16 +364,14 @@ class PCNDE:
             raise InputError(
                 f"area_undeformed[{case}, {point}] is {s_u[case, point]}; areas are positive (cm²)."
             )
-        try:
-            count = np.broadcast_shapes(q.shape[:1], s_u.shape[:1])[0]
-        except ValueError:
+        count = max(len(q), len(s_u))
+        if not {len(q), len(s_u)} <= {1, count}:
             raise InputError(
                 f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give as many of one "
                 "as of the other, or a single one."
-            ) from None
-        q = np.ascontiguousarray(np.broadcast_to(q, (count, q.shape[1])))
-        s_u = np.ascontiguousarray(np.broadcast_to(s_u, (count, s_u.shape[1])))
-        return q, s_u, grid
+            )
+        q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
+        return np.ascontiguousarray(q), np.ascontiguousarray(s_u), grid
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         self.check_grid(cases)

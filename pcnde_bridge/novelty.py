@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -66,23 +67,12 @@ class Novelty:
 
     def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
         """Score of each case's inflow and of its area, (case,) each; beyond 1 is outside."""
+        of_inflow, of_area = _inflow_scale(self, inflow.shape[1]), _area_scale(self, z.tobytes())
         scores = np.empty((2, len(inflow)))
         for start in range(0, len(inflow), _TOGETHER):
             rows = slice(start, start + _TOGETHER)
-            scores[0, rows] = _score(
-                _harmonics(inflow[rows]),
-                self.inflow_centre,
-                self.inflow_axes,
-                self.inflow_range,
-                self.inflow_rest,
-            )
-            scores[1, rows] = _score(
-                _profile(area_undeformed[rows], z),
-                self.area_centre,
-                self.area_axes,
-                self.area_range,
-                self.area_rest,
-            )
+            scores[0, rows] = of_inflow.score(inflow[rows])
+            scores[1, rows] = of_area.score(np.sqrt(area_undeformed[rows]))
         return scores[0], scores[1]
 
     def inflow_ends(self, n_times: int) -> Array:
@@ -151,7 +141,6 @@ def _harmonics(inflow: Array) -> Array:
     return described
 
 
-@lru_cache(maxsize=8)
 def _analysis(n_times: int) -> Array:
     """Matrix (time, n) of those coefficients; they are 0 above Nyquist's frequency."""
     harmonic = np.arange(_HARMONICS + 1)
@@ -162,24 +151,21 @@ def _analysis(n_times: int) -> Array:
 
 def _profile(area_undeformed: Array, z: Array) -> Array:
     """Radius, up to √π, at equally spaced places, and the length: (case, n)."""
-    described = np.empty((len(area_undeformed), _PLACES + 1))
-    np.matmul(np.sqrt(area_undeformed), _interpolation(z.tobytes()), out=described[:, :-1])
-    described[:, -1] = z[-1] - z[0]
+    matrix, length = _interpolation(z)
+    described: Array = np.sqrt(area_undeformed) @ matrix + length
     return described
 
 
-@lru_cache(maxsize=8)
-def _interpolation(points: bytes) -> Array:
-    """Matrix (z, place) of linear interpolation from points to equally spaced places."""
-    z = np.frombuffer(points)
+def _interpolation(z: Array) -> tuple[Array, Array]:
+    """Matrix (z, n) of linear interpolation to equally spaced places, and the length (n,)."""
     place = (z - z[0]) / (z[-1] - z[0])
     at = np.linspace(0, 1, _PLACES)
     after = np.clip(np.searchsorted(place, at), 1, z.size - 1)
     share = (at - place[after - 1]) / (place[after] - place[after - 1])
-    matrix = np.zeros((z.size, _PLACES))
+    matrix = np.zeros((z.size, _PLACES + 1))
     matrix[after - 1, np.arange(_PLACES)] = 1 - share
     matrix[after, np.arange(_PLACES)] = share
-    return matrix
+    return matrix, np.append(np.zeros(_PLACES), z[-1] - z[0])
 
 
 def _box(described: Array) -> tuple[Array, Array, Array, Array]:
@@ -202,10 +188,44 @@ def _ends(centre: Array, axes: Array, span: Array) -> Array:
     return ends
 
 
-def _score(described: Array, centre: Array, axes: Array, span: Array, rest: Array) -> Array:
-    moved = described - centre
-    along = moved @ axes.T
-    beyond = np.abs(along - span[0]) / span[1]
-    left = np.linalg.norm(moved - along @ axes, axis=1) / rest[0]
-    score: Array = np.maximum(beyond.max(axis=1, initial=0.0), left)
-    return score
+class _Scale(NamedTuple):
+    """How scores are read from inputs on one grid: ``x @ matrix − offset``.
+
+    The first ``n_axes`` numbers are the components, in half widths from the middle of the box;
+    the others are what these leave, in what is tolerated.
+    """
+
+    matrix: Array
+    offset: Array
+    n_axes: int
+
+    def score(self, x: Array) -> Array:
+        """Score of each row."""
+        moved = x @ self.matrix - self.offset
+        beyond, left = np.abs(moved[:, : self.n_axes]), moved[:, self.n_axes :]
+        size = np.sqrt(np.einsum("ij,ij->i", left, left))
+        score: Array = np.maximum(beyond.max(axis=1, initial=0.0), size)
+        return score
+
+
+def _scale(
+    matrix: Array, constant: Array | float, centre: Array, axes: Array, span: Array, rest: Array
+) -> _Scale:
+    """Make the scale for inputs that ``x @ matrix + constant`` describes."""
+    remainder = np.eye(centre.size) - axes.T @ axes
+    directions = np.concatenate([axes.T / span[1], remainder / rest[0]], axis=1)
+    offset = (centre - constant) @ directions
+    offset[: len(axes)] += span[0] / span[1]
+    return _Scale(matrix @ directions, offset, len(axes))
+
+
+@lru_cache(maxsize=8)
+def _inflow_scale(of: Novelty, n_times: int) -> _Scale:
+    box = of.inflow_centre, of.inflow_axes, of.inflow_range, of.inflow_rest
+    return _scale(_analysis(n_times), 0.0, *box)
+
+
+@lru_cache(maxsize=8)
+def _area_scale(of: Novelty, points: bytes) -> _Scale:
+    box = of.area_centre, of.area_axes, of.area_range, of.area_rest
+    return _scale(*_interpolation(np.frombuffer(points)), *box)
