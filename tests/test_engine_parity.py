@@ -32,7 +32,7 @@ TIGHT = {"rtol": 1e-12, "atol": 1e-14, "max_steps": 4096}
 CONFIGS = {
     "paper": PAPER,
     "published-code": PUBLISHED_CODE,
-    "equal steps": PAPER.replace(flow={"steps": 12}),
+    "equal steps": PAPER.replace(flow={"steps": 12, "hidden": (8, 5)}),
     "other": PAPER.replace(
         flow={"hidden": (6, 5), "activation": "gelu", "first_step": 0.9, "loss": "sum"},
         fourier_area={"terms": 5},

@@ -349,3 +349,21 @@ def test_predict_without_pressure_stages(engine, grid, parameters, small_cases):
     bare = engine.predict(parameters.without_pressure(), *given)
     assert bare.pressure is None
     np.testing.assert_allclose(bare.area, whole.area, rtol=1e-12)
+
+
+def test_the_last_layer_may_have_another_width_than_the_first(engine, grid, small_cases):
+    inputs = FlowInputs(small_cases.inflow, small_cases.area)
+    found = []
+    for flow in ({"steps": 200}, {"rtol": 1e-10, "atol": 1e-12, "max_steps": 1024}):
+        config = PAPER.replace(flow={"hidden": (6, 4), **flow})
+        vector = initial_parameters(config, small_cases.n_times, small_cases.n_points, 0).flow
+        found.append(engine.flow.solve(vector, inputs, grid, config))
+    assert np.abs(found[0] - small_cases.inflow[..., None]).max() > 1e-3
+    assert np.allclose(*found, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("count", [3, 8])
+def test_a_prediction_can_be_written_to(engine, grid, parameters, small_cases, count):
+    inputs = small_cases.inflow[:count], small_cases.area_undeformed[:count]
+    solution = engine.predict(parameters, *inputs, grid, EQUAL)
+    assert all(values.flags.writeable for values in solution)

@@ -61,23 +61,26 @@ def integrate(
     drive: jax.Array,
     z: jax.Array,
     steps: int,
+    size: int,
 ) -> jax.Array:
     """Integrate dy/dz = rate(drive(z), y) from y = 0.
 
     Parameters
     ----------
     rate : callable
-        Of the drive and the state, each of shape (m, case).
+        Of the drive (m, case) and the state (n, case), like which it is.
     drive : array of shape (m, case, z)
         At the points; linear between them.
     z : array of shape (z,)
         Points, cm.
     steps : int
         Equal steps from the first point to the last.
+    size : int
+        n, of the state.
 
     Returns
     -------
-    array of shape (m, case, z)
+    array of shape (n, case, z)
         y at the points.
     """
     step = (z[-1] - z[0]) / steps
@@ -100,7 +103,7 @@ def integrate(
         slopes, states = jax.lax.scan(stage, slopes, (jnp.arange(1, 7), _A, drives))
         return (states[-1], slopes[-1]), jnp.concatenate([state[None], slopes])
 
-    nothing = jnp.zeros(drive.shape[:2])
+    nothing = jnp.zeros((size, drive.shape[1]))
     first = nothing, rate(drive[:, :, 0], nothing)
     _, kept = jax.lax.scan(advance, first, drives)
     step_of = jnp.clip(jnp.searchsorted(starts, z, side="right") - 1, 0, steps - 1)

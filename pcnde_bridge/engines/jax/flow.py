@@ -220,4 +220,4 @@ def _in_equal_steps(
         return values
 
     drive = from_area + of_case[:, :, None] + along_bias[:, None, None] * (z - z[0])
-    return integrate(rate, drive, z, config.flow.steps or 0)
+    return integrate(rate, drive, z, config.flow.steps or 0, len(network.last))

@@ -252,7 +252,8 @@ def in_batches(
                 "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
                 "resemble the training data."
             )
-        batches.append([np.asarray(r)[:count] for r in results])
+        # Copies, as what is JAX's own cannot be written to.
+        batches.append([np.array(np.asarray(r)[:count]) for r in results])
     if len(batches) == 1:
         return tuple(batches[0])
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
