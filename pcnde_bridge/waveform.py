@@ -185,14 +185,17 @@ class Waveform:
             raise InputError(f"period must be positive (s), got {period!r}.")
         if n_terms is not None and n_terms < 0:
             raise InputError(f"n_terms must not be negative, got {n_terms!r}.")
+        first = 0.0
         if time is not None:
-            samples = _equal_steps(_finite("time", time), samples, period)
+            samples, first = _equal_steps(_finite("time", time), samples, period)
         if len(samples) < 3:
             raise InputError(f"A waveform needs at least 3 samples, got {len(samples)}.")
         spectrum = np.fft.rfft(samples) / len(samples)
         spectrum[1:] *= 2.0
         if len(samples) % 2 == 0:
             spectrum[-1] /= 2.0  # the highest harmonic of an even number stands alone
+        # The series counts time from 0, the samples from the first of them.
+        spectrum *= np.exp(-2j * np.pi * np.arange(len(spectrum)) * (first / period))
         spectrum = spectrum[: None if n_terms is None else n_terms + 1]
         return cls(
             float(spectrum[0].real),
@@ -226,8 +229,11 @@ def _finite(name: str, values: npt.ArrayLike) -> Array:
     return array
 
 
-def _equal_steps(time: Array, flow: Array, period: float) -> Array:
-    """Flow at equal steps of one cycle from t = 0, linear between the samples."""
+def _equal_steps(time: Array, flow: Array, period: float) -> tuple[Array, float]:
+    """Flow at equal steps of one cycle, and the first instant.
+
+    Samples in other steps are taken as linear between them, from t = 0.
+    """
     if time.shape != flow.shape:
         raise InputError(f"time has {len(time)} values and flow {len(flow)}; give as many of both.")
     if len(time) < 3:
@@ -245,9 +251,9 @@ def _equal_steps(time: Array, flow: Array, period: float) -> Array:
     if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
         time, flow = time[:-1], flow[:-1]
     n = len(time)
-    if time[0] == 0.0 and np.allclose(np.diff(time), period / n, rtol=1e-6, atol=0.0):
-        return flow
+    if np.allclose(np.diff(time), period / n, rtol=1e-6, atol=0.0):
+        return flow, float(time[0])
     # Finer than the shortest step, so that no sample is lost.
     n_fine = min(max(n, math.ceil(2.0 * period / np.diff(time).min())), 100_000)
     instants = np.arange(n_fine) * (period / n_fine)
-    return np.asarray(np.interp(instants, time, flow, period=period), dtype=np.float64)
+    return np.asarray(np.interp(instants, time, flow, period=period), dtype=np.float64), 0.0

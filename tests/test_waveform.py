@@ -49,6 +49,16 @@ def test_uneven_samples_are_joined_linearly():
     assert waveform.flow(0.95) == pytest.approx(0.95, abs=0.05)  # back to the start
 
 
+@pytest.mark.parametrize("first", [1e-12, 0.005, 1.0, -0.3])
+@pytest.mark.parametrize("n", [99, 100])
+def test_equal_steps_may_begin_at_any_time(first, n):
+    time = first + np.arange(n) * (0.8 / n)
+    flow = RNG.normal(size=n)
+    waveform = Waveform.from_samples(flow, time, period=0.8, n_terms=None)
+    assert waveform.n_terms == n // 2
+    np.testing.assert_allclose(waveform.flow(time), flow, atol=1e-12)
+
+
 def test_repeated_end_of_the_cycle_is_not_counted_twice():
     time = np.linspace(0.0, 1.0, 21)
     waveform = Waveform.from_samples(np.cos(2 * math.pi * time), time, n_terms=None)
