@@ -6,11 +6,13 @@ Exit codes: 0 good, 2 bad use or input, 1 failure, 130 interrupted.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import logging
 import os
 import sys
 import warnings
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -21,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pcnde_bridge import checkpoints
+from pcnde_bridge import checkpoints, interrupts
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
@@ -36,6 +38,10 @@ if TYPE_CHECKING:
     from pcnde_bridge.model import PCNDE
 
 
+_INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+
 class _Group(typer.core.TyperGroup):
     """Ends with 130 after Ctrl-C, at whatever moment it came."""
 
@@ -44,7 +50,7 @@ class _Group(typer.core.TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             _say_note("\nInterrupted.")
-            raise typer.Exit(130) from None
+            raise typer.Exit(_INTERRUPTED) from None
 
 
 app = typer.Typer(
@@ -143,7 +149,7 @@ def fit(
     from pcnde_bridge.datasets import load_cases
 
     settings = _settings(preset, config)
-    _check_writable(out, size=members * _MODEL_SIZE)
+    _check_writable(out, size=members * _MODEL_SIZE, inputs=[Path(data)])
     sets = _split(load_cases(data), split)
     model: PCNDE | Ensemble
     if members > 1:
@@ -248,7 +254,7 @@ def evaluate(
     from pcnde_bridge.datasets import load_cases
     from pcnde_bridge.ensemble import load_model
 
-    _check_writable(json_file, per_case)
+    _check_writable(json_file, per_case, inputs=[model, Path(data)])
     fitted = load_model(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
@@ -303,13 +309,14 @@ def predict(
     from pcnde_bridge.tables import read_columns, read_cycle, read_table
 
     suffix = check_target(out, has_pressure=True)
+    _check_writable(out, inputs=[model, inflow, area])
     if samples and suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine=engine.value)
     check_target(out, fitted.has_pressure)
     where: dict[str, Any] = {}
     if fitted.any_grid:
-        where["period"], q = read_cycle(inflow)
+        where["period"], q = read_cycle(inflow, float(fitted.grid.time[0]), fitted.grid.period)
         where["z"], s_u = read_table(area, "z")
     else:
         q = read_columns(inflow, "time", fitted.grid.time, "s")
@@ -675,14 +682,31 @@ def _note_warning(
 def main() -> None:
     """Run the command line, turning errors into messages and exit codes, warnings into notes."""
     warnings.showwarning = _note_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
-        app()
+        with interrupts.kept():
+            app()
     except PCNDEError as error:
         _fail(str(error), 2 if isinstance(error, InputError | FileError) else 1)
     except BrokenPipeError:
         # The reader of a pipe has gone; keep the interpreter from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def run() -> None:
+    """Run the command line in a process of its own."""
+    try:
+        main()
+    except SystemExit as end:
+        if end.code == _INTERRUPTED:
+            # JAX, interrupted while it compiles, would crash when the interpreter ends.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(_INTERRUPTED)
+        raise
 
 
 def _say(text: str) -> None:
@@ -695,9 +719,14 @@ def _fail(message: str, code: int) -> None:
     sys.exit(code)
 
 
-def _check_writable(*paths: Path | None, size: int = 0) -> None:
-    """Refuse files that cannot be written, before anything is computed."""
+def _check_writable(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:
+    """Refuse files that cannot be written or were lost, before anything is computed."""
+    known = {path.resolve() for path in inputs}
     for path in paths:
+        if path is not None and path.resolve() in known:
+            raise InputError(f"{path} is named twice: it would be overwritten.")
+        if path is not None:
+            known.add(path.resolve())
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
             raise FileError(f"Cannot write {path}: give a file in an existing folder.")
         if path is not None:
@@ -787,7 +816,7 @@ def _fit_ensemble(
 
 def _interrupted(where: str) -> typer.Exit:
     _say_note(f"\nInterrupted. {where}: run the same command again to continue.")
-    return typer.Exit(130)
+    return typer.Exit(_INTERRUPTED)
 
 
 def _say_note(text: str) -> None:

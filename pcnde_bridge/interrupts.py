@@ -10,6 +10,19 @@ from types import FrameType
 
 
 @contextmanager
+def held() -> Iterator[None]:
+    """Let a Ctrl-C wait: for libraries that do not survive one while they are loaded."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def kept() -> Iterator[Callable[[], None]]:
     """Keep a Ctrl-C that comes inside from being lost.
 

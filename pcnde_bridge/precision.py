@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from pcnde_bridge import interrupts
+from pcnde_bridge.errors import EngineError
+
+_process: int | None = None
+"""The one that JAX computes in, once it has begun."""
 
 
 @contextmanager
@@ -15,7 +20,20 @@ def double_precision() -> Iterator[None]:
 
     JAX makes a ValueError of a Ctrl-C that comes while it compares settings; see
     :func:`pcnde_bridge.interrupts.kept`.
+
+    Raises
+    ------
+    EngineError
+        In a fork of a process in which JAX has computed: JAX would wait for ever there.
     """
+    global _process
+    if _process is None:
+        _process = os.getpid()
+    if os.getpid() != _process:
+        raise EngineError(
+            "JAX does not survive a fork: start worker processes with the 'spawn' method "
+            '(multiprocessing.get_context("spawn")), as pcnde_bridge.tasks.processes does.'
+        )
     import jax
 
     # Newer versions of JAX have it at the top, older ones under "experimental" only.

@@ -8,7 +8,8 @@ import threading
 
 import pytest
 
-from pcnde_bridge import PCNDE, PCNDEConfig, interrupts
+from pcnde_bridge import PCNDE, PCNDEConfig, interrupts, precision
+from pcnde_bridge.errors import EngineError
 from pcnde_bridge.precision import double_precision
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -171,3 +172,21 @@ def test_other_threads_have_no_signals():
     thread.start()
     thread.join()
     assert seen == [signal.default_int_handler]
+
+
+def test_ctrl_c_waits_while_a_library_loads():
+    steps = []
+    with pytest.raises(KeyboardInterrupt):
+        with interrupts.held():
+            signal.raise_signal(signal.SIGINT)
+            steps.append("loaded")
+        steps.append("lost")
+    assert steps == ["loaded"]
+
+
+def test_a_fork_of_jax_is_refused(monkeypatch):
+    with precision.double_precision():
+        pass
+    monkeypatch.setattr(precision, "_process", -1)
+    with pytest.raises(EngineError, match="spawn"), precision.double_precision():
+        pass

@@ -6,6 +6,7 @@ import logging
 from functools import cache
 from typing import Literal, get_args
 
+from pcnde_bridge import interrupts
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 
@@ -65,7 +66,8 @@ def why_not_julia() -> str | None:
 @cache
 def _jax() -> Engine:
     try:
-        from pcnde_bridge.engines.jax import JaxEngine
+        with interrupts.held():
+            from pcnde_bridge.engines.jax import JaxEngine
     except ImportError as error:
         raise EngineUnavailableError(
             f"The JAX engine needs jax and diffrax, but {error}. "
