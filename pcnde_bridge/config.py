@@ -42,6 +42,8 @@ class _Section:
                 raise InputError(f"{type(self).__name__}.{f.name} is negative: {value!r}.")
             if f.metadata.get("positive", False) and _smallest(checked) <= 0:
                 raise InputError(f"{type(self).__name__}.{f.name} must be positive: {value!r}.")
+            if f.metadata.get("some", False) and not checked:
+                raise InputError(f"{type(self).__name__}.{f.name} must not be empty.")
 
     def replace(self: _Config, /, **changes: Any) -> _Config:
         """Copy with some settings changed; groups may be given as mappings.
@@ -153,6 +155,11 @@ def _positive(default: Any) -> Any:
     return field(default=default, metadata={"positive": True})
 
 
+def _widths(*default: int) -> Any:
+    """Of hidden layers, at least one."""
+    return field(default=default, metadata={"positive": True, "some": True})
+
+
 @dataclass(frozen=True)
 class Physics(_Section):
     """Blood, wall and stenosis (section 2.5 of the paper).
@@ -241,7 +248,7 @@ class FlowStage(_Section):
     """
 
     terms: tuple[Term, ...] = ()
-    hidden: tuple[int, ...] = _positive((8, 8, 8, 8))
+    hidden: tuple[int, ...] = _widths(8, 8, 8, 8)
     activation: Activation = "tanh"
     epochs: int = _positive(100)
     iterations: int = _positive(5)
@@ -275,7 +282,7 @@ class TemporalFlowStage(_Section):
         Passes through the batches, and BFGS iterations in each batch.
     """
 
-    hidden: tuple[int, ...] = _positive((8, 8, 8, 8))
+    hidden: tuple[int, ...] = _widths(8, 8, 8, 8)
     activation: Activation = "tanh"
     time_input: bool = False
     steps: int = _positive(1)
@@ -353,7 +360,7 @@ class TemporalPressureStage(_Section):
         the scale open; in dyn/cm² the input saturates every tanh.
     """
 
-    hidden: tuple[int, ...] = _positive((2, 2))
+    hidden: tuple[int, ...] = _widths(2, 2)
     activation: Activation = "tanh"
     iterations: int = _positive(250)
     pressure_drop_input: Literal["normalised", "dyn"] = "normalised"
@@ -577,7 +584,7 @@ class CorrectionClosure(_Section):
     folds : int
         Parts into which the training cases' geometries, and once more their
         waveforms, are divided to hold them out in turns; the fits without a part
-        are the ensemble that gives the uncertainty.  0 leaves it out.
+        are the ensemble that gives the uncertainty.  At least 2; 0 leaves it out.
     """
 
     storage: float | None = _positive(None)
@@ -586,6 +593,13 @@ class CorrectionClosure(_Section):
     evaluations: int = _positive(60)
     passes: int = _positive(8)
     folds: int = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.folds == 1:
+            raise InputError(
+                "CorrectionClosure.folds must be 0 or at least 2: one part is all of the cases."
+            )
 
 
 @dataclass(frozen=True)

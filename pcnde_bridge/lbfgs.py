@@ -129,7 +129,7 @@ def minimise(
         )
     ceiling = _DIVERGED * (first / unit + settings.weight_decay * float(start @ start))
 
-    number, last = 0, start
+    number, last, judged = 0, start, 0
     best, best_error, best_number = start, math.inf, 0
 
     def total(x: Array) -> tuple[float, Array]:
@@ -142,20 +142,23 @@ def minimise(
         return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
 
     def after(x: Array, value: float) -> None:
-        nonlocal number, last, best, best_error, best_number
+        nonlocal number, last, judged, best, best_error, best_number
         number, last = number + 1, x
         if on_iteration is not None:
             on_iteration(number, (value - settings.weight_decay * float(x @ x)) * unit)
         if validate is None:
             best = x
         elif number % settings.check_every == 0 or number == iterations:
-            error = validate(x)
+            error, judged = validate(x), number
             if error < best_error:
                 best, best_error, best_number = x, error, number
             elif number - best_number >= settings.patience:
                 raise StopIteration
 
     lbfgs(total, start, settings.memory, iterations, after)
+    # It may have converged between two questions.
+    if validate is not None and judged < number and validate(last) < best_error:
+        return last
     return best
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import FAST, resolve_config
+from pcnde_bridge.config import FAST, PHYSICS, resolve_config
 from pcnde_bridge.parameters import sizes
 
 GROUPS = [
@@ -173,7 +173,7 @@ configs = st.builds(
     st.fixed_dictionaries(
         {},
         optional={
-            "hidden": st.lists(st.integers(1, 64), max_size=4),
+            "hidden": st.lists(st.integers(1, 64), min_size=1, max_size=4),
             "epochs": st.integers(1, 10**6),
             "rtol": positive,
             "first_step": st.none() | positive,
@@ -302,3 +302,16 @@ def test_the_papers_number_of_parameters():
         "spatial_pressure": 202,
     }
     assert sum(found.values()) == 4449
+
+
+@pytest.mark.parametrize("stage", ["flow", "temporal_flow", "temporal_pressure"])
+def test_networks_have_a_hidden_layer(stage):
+    with pytest.raises(InputError, match=r"\.hidden must not be empty"):
+        PAPER.replace(**{stage: {"hidden": ()}})
+    assert PHYSICS.replace(correction={"hidden": ()}).correction.hidden == ()
+
+
+def test_a_single_fold_would_leave_all_cases_out():
+    with pytest.raises(InputError, match="folds must be 0 or at least 2"):
+        PHYSICS.replace(correction={"folds": 1})
+    assert PHYSICS.replace(correction={"folds": 0}).correction.folds == 0

@@ -290,6 +290,14 @@ def test_early_stopping_keeps_the_best(lbfgs):
     assert np.array_equal(found, looks[1])
 
 
+def test_what_converged_before_the_first_look_is_kept(lbfgs):
+    settings = AllAtOnce(weight_decay=0.0, check_every=1000)
+    found = minimise(
+        bowl, np.zeros(3), settings, 2000, 1.0, lambda x: float(np.sum((x - 1) ** 2)), lbfgs=lbfgs
+    )
+    assert np.allclose(found, 1, atol=1e-7)
+
+
 # ---- parts -------------------------------------------------------------------
 
 
