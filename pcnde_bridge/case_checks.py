@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcnde_bridge.errors import InputError, PCNDEWarning
 from pcnde_bridge.validation import counted
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.variables import UNITS, VARIABLES
 
 FloatArray = NDArray[np.float64]
 
 _AXES = ("case", "time", "z")
+_TAKEN = frozenset((*UNITS, "novelty"))  # by a prediction's own columns
 
 
 class UnitsWarning(PCNDEWarning):
@@ -32,7 +33,7 @@ def check_arrays(given: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     InputError
         If one has the wrong kind of number, shape, or values that it cannot have.
     """
-    arrays = {name: _real_array(name, value) for name, value in given.items()}
+    arrays = {name: real_array(name, value) for name, value in given.items()}
     _check_shapes(arrays)
     for name, array in arrays.items():
         _refuse(name, array, ~np.isfinite(array), "all values must be finite")
@@ -43,8 +44,14 @@ def check_arrays(given: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     return arrays
 
 
-def _real_array(name: str, value: ArrayLike) -> FloatArray:
-    """Return a C-contiguous float64 copy of real numbers."""
+def real_array(name: str, value: ArrayLike) -> FloatArray:
+    """Return a C-contiguous float64 copy of real numbers.
+
+    Raises
+    ------
+    InputError
+        If they are something else, or masked.
+    """
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -176,6 +183,11 @@ def check_labels(
             raise InputError(
                 f"labels has a column named {name!r}; use Python names, such as 'patient_1'"
             )
+        if name in _TAKEN:
+            raise InputError(
+                f"labels has a column named {name!r}, as predictions name a column of theirs; "
+                "give it another name"
+            )
     if not given.columns.is_unique:
         raise InputError(f"labels has two columns named {given.columns[_second(given.columns)]!r}")
     if len(given) != n_cases:
@@ -216,7 +228,9 @@ def _whole_numbers(name: str, column: pd.Series[Any]) -> NDArray[Any]:
         return values.astype(np.int64)
     if values.dtype.kind == "f" and np.all(np.isfinite(values)) and np.all(values % 1 == 0):
         return values.astype(np.int64)
-    row = next((i for i, v in enumerate(values) if not _is_whole(v)), 0)
+    row = next((i for i, v in enumerate(values) if not _is_whole(v)), None)
+    if row is None:
+        return values.astype(np.int64)
     raise InputError(f"labels[{name!r}][{row}] is {values[row]!r}; {name} must be a whole number")
 
 

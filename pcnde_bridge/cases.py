@@ -312,14 +312,14 @@ class Cases:
                 f"select cannot use {index!r}; give an int, a slice, a list of ints, a boolean "
                 "mask or a list of (geometry, waveform) pairs"
             )
-        asked = np.atleast_1d(asked)
+        asked = np.atleast_1d(asked).astype(np.intp)
         outside = (asked < -self.n_cases) | (asked >= self.n_cases)
         if outside.any():
             raise InputError(
                 f"there is no case {asked[outside][0]}: positions run from 0 to "
                 f"{self.n_cases - 1}, or from -{self.n_cases} to -1"
             )
-        return np.where(asked < 0, asked + self.n_cases, asked).astype(np.intp)
+        return np.where(asked < 0, asked + self.n_cases, asked)
 
     def _paired(self, pairs: Sequence[tuple[int, int]], where: str) -> NDArray[np.intp]:
         """Find the positions of (geometry, waveform) pairs, in their order."""
@@ -416,7 +416,8 @@ class Cases:
                 "the paper's split tests on the largest geometry and the largest waveform; this "
                 f"data set has {counted(len(set(geometry)), 'geometry')} and "
                 f"{counted(len(set(waveform)), 'waveform')}, so no case is left for training; "
-                "name the cases with a mapping instead"
+                "name the cases with a mapping (a file of it), or use all without a split "
+                "(--split none)"
             )
         return Split(self._take(order[~test]), self._take(order[test]))
 

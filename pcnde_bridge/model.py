@@ -6,6 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ import pandas as pd
 from pcnde_bridge import history as histories
 from pcnde_bridge import recipes
 from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.closures.uncertainty import Uncertainty, draw
@@ -22,7 +24,7 @@ from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, reso
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, SolveError
-from pcnde_bridge.grid import Grid
+from pcnde_bridge.grid import Grid, check_resolution
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -36,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
-_FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
+_OTHER_PERIOD = 0.1  # relative difference that is worth a warning
 # pandas takes longer to make these names than a case takes to be predicted.
 _CASE = pd.Index(["case"])
 
@@ -253,7 +255,8 @@ class PCNDE:
         Warns
         -----
         OutsideTrainingWarning
-            If an input lies outside the training data.
+            If an input lies outside the training data, or the period is more than a
+            tenth off; the score of ``novelty`` does not know the period.
 
         Raises
         ------
@@ -330,7 +333,7 @@ class PCNDE:
         batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
         score = self._score(q, s_u, grid.z)
-        self._warn(score, q, s_u, grid.z)
+        self._warn(score, q, s_u, grid.z, grid.period)
 
         def predictions() -> Iterator[Prediction]:
             for start in range(0, len(q), batch):
@@ -371,7 +374,7 @@ class PCNDE:
                 "as of the other, or a single one."
             )
         q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
-        return np.ascontiguousarray(q), np.ascontiguousarray(s_u), grid
+        return q, s_u, grid
 
     def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
         self.check_grid(cases)
@@ -398,19 +401,18 @@ class PCNDE:
             return self.grid
         shape = np.shape(inflow)
         n_times = shape[-1] if shape else 0
-        if n_times < _FEWEST_INSTANTS:
-            raise InputError(
-                f"inflow has {n_times} instants per cycle; at least {_FEWEST_INSTANTS} are needed."
-            )
         points: Array = self.grid.z
         if z is not None:
             points = _rows("z", z, np.size(z), "points")[0]
-            if points.size < _FEWEST_POINTS or (np.diff(points) <= 0).any():
-                raise InputError(f"z must increase and have at least {_FEWEST_POINTS} points.")
+            if (np.diff(points) <= 0).any():
+                raise InputError("z must increase.")
+        check_resolution(n_times, points.size)
         cycle = self.grid.period if period is None else period
-        if not (math.isfinite(cycle) and cycle > 0):
+        if not isinstance(cycle, Real) or not (math.isfinite(cycle) and cycle > 0):
             raise InputError(f"period must be a positive number of seconds, got {period!r}.")
-        return Grid(np.arange(float(n_times)) * (cycle / n_times), points, float(cycle))
+        cycle = float(cycle)
+        time = self.grid.time[0] + np.arange(float(n_times)) * (cycle / n_times)
+        return Grid(time, points, cycle)
 
     def _predict(
         self,
@@ -423,6 +425,8 @@ class PCNDE:
         seed: int,
     ) -> Prediction:
         samples, seed = whole("samples", samples), whole("seed", seed)
+        if samples == 1:
+            raise InputError("samples must be 0 or at least 2: one draw has no deviation.")
         if samples and self.uncertainty is None:
             raise InputError(
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
@@ -452,7 +456,14 @@ class PCNDE:
     def warned(self, prediction: Prediction) -> Prediction:
         """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
         inflow = prediction.flow[:, :, 0]
-        self._warn(prediction.novelty, inflow, prediction.area_undeformed, prediction.z, level=4)
+        self._warn(
+            prediction.novelty,
+            inflow,
+            prediction.area_undeformed,
+            prediction.z,
+            prediction.period,
+            level=4,
+        )
         return prediction
 
     def _score(self, inflow: Array, area_undeformed: Array, z: Array) -> Array | None:
@@ -462,9 +473,22 @@ class PCNDE:
         return np.maximum(*self.novelty.score(inflow, area_undeformed, z))
 
     def _warn(
-        self, score: Array | None, inflow: Array, area_undeformed: Array, z: Array, level: int = 3
+        self,
+        score: Array | None,
+        inflow: Array,
+        area_undeformed: Array,
+        z: Array,
+        period: float,
+        level: int = 3,
     ) -> None:
         """Warn of inputs outside the training data; the level is that of the caller to blame."""
+        if not math.isclose(period, self.grid.period, rel_tol=_OTHER_PERIOD):
+            warnings.warn(
+                f"The period is {period:g} s, that of the training data {self.grid.period:g} s. "
+                "The prediction extrapolates.",
+                OutsideTrainingWarning,
+                stacklevel=level,
+            )
         outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
         if score is None or self.novelty is None or outside == 0:
             return
@@ -501,6 +525,8 @@ class PCNDE:
         InputError
             If the cases' grid is not the model's.
         """
+        if not isinstance(cases, Cases):
+            raise InputError(f"evaluate needs Cases, which bring the truth, got {type(cases)}.")
         # Cases that bring the truth need no warning of extrapolation: their errors show it.
         return error_table(self._predict_cases(cases, 0, 0).variables(), cases)
 
@@ -597,7 +623,9 @@ class PCNDE:
         InputError
             Naming the first difference.
         """
-        if not self.any_grid:
+        if self.any_grid:
+            check_resolution(cases.n_times, cases.n_points)
+        else:
             check_grid(self.grid, cases)
 
 
@@ -640,11 +668,8 @@ def check_grid(trained: Grid, cases: Cases, where: str = "model.grid") -> None:
 
 
 def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:
-    """Validate (case, length) or (length,) and return the former."""
-    try:
-        array = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is not an array of numbers: {error}") from error
+    """Validate (case, length) or (length,) and return the former, a copy."""
+    array = np.atleast_2d(real_array(name, values))
     if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
         hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
         raise InputError(

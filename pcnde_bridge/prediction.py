@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
 from typing import TYPE_CHECKING
@@ -96,7 +97,7 @@ class Prediction:
         InputError
             If the level is not between 0 and 1, or there are no samples.
         """
-        if not 0 < level < 1:
+        if not isinstance(level, Real) or not 0 < level < 1:
             raise InputError(f"level must lie between 0 and 1, got {level!r}.")
         factor = NormalDist().inv_cdf((1 + level) / 2)
         width = {name: factor * deviation for name, deviation in self.deviation().items()}
@@ -220,7 +221,8 @@ class Prediction:
             raise InputError("The model has no pressure stages, so this is not a whole data set.")
         labels = self.labels
         if "geometry" not in labels:
-            labels = labels.assign(geometry=np.arange(len(self)), waveform=0)
+            # What batches number throughout stays apart when their files are joined.
+            labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
         return Cases(
             self.flow,
             self.area,

@@ -111,7 +111,7 @@ def synthetic(
     """
     n_geometries = whole("n_geometries", n_geometries, 1)
     n_waveforms = whole("n_waveforms", n_waveforms, 1)
-    seed = whole("seed", seed)
+    seed, n_points = whole("seed", seed), whole("n_points", n_points)
     positions = tuple(float(position) for position in stenosis_positions)
     if not positions and n_geometries > 1:
         raise InputError(

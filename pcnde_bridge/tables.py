@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 import zlib
 from pathlib import Path
@@ -70,8 +71,20 @@ def read_table(path: str | os.PathLike[str], axis: str) -> tuple[Array, Array]:
     return frame[axis].to_numpy(dtype=np.float64), columns
 
 
-def read_cycle(path: str | os.PathLike[str]) -> tuple[float, Array]:
+def read_cycle(
+    path: str | os.PathLike[str], start: float, usual_period: float
+) -> tuple[float, Array]:
     """Read one cycle of waveforms at equally spaced instants, without its end point.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV file whose first column is named ``time``.
+    start : float
+        First instant of the model's cycle, s, from which predictions count.
+    usual_period : float
+        Of the model's training, s: instants that span it and end as they begin have an
+        end point too many.
 
     Returns
     -------
@@ -83,7 +96,8 @@ def read_cycle(path: str | os.PathLike[str]) -> tuple[float, Array]:
     FileError
         If the file cannot be read as a table.
     InputError
-        If a column is missing or not numeric, or the instants are not equally spaced.
+        If a column is missing or not numeric, or the instants are not equally spaced, begin
+        at another time or repeat the first.
     """
     time, columns = read_table(path, "time")
     if time.size < 2:
@@ -95,6 +109,17 @@ def read_cycle(path: str | os.PathLike[str]) -> tuple[float, Array]:
         raise InputError(
             f"{path}, line {line}: the instants are not equally spaced. Interpolate the cycle to "
             "equal steps, without its end point."
+        )
+    if abs(time[0] - start) > 1e-6 * step * time.size:
+        raise InputError(
+            f"{path}, line 2: the first instant is {time[0]:g} s, the model's {start:g} s, from "
+            "which predictions count. Let the cycle begin there."
+        )
+    spans = math.isclose(step * (time.size - 1), usual_period, rel_tol=1e-6)
+    if spans and np.array_equal(columns[:, 0], columns[:, -1]):
+        raise InputError(
+            f"{path}, line {time.size + 1}: the cycle's end repeats its start. Leave the last "
+            "line out."
         )
     return step * time.size, columns
 

@@ -669,3 +669,23 @@ def test_selecting_keeps_the_order_asked_for(small_cases, data):
     back = [wanted.index(i) for i in sorted(wanted)]
     mask = np.isin(np.arange(12), wanted)
     assert chosen.select(back) == small_cases.select(mask)
+
+
+@pytest.mark.parametrize("name", ["time", "z", "flow", "area_undeformed", "novelty"])
+def test_labels_leave_the_names_of_a_prediction_alone(small_cases, name):
+    with pytest.raises(InputError, match=f"column named '{name}', as predictions name"):
+        with_labels(small_cases, small_cases.labels.assign(**{name: 1.0}))
+
+
+def test_whole_numbers_may_have_any_type(small_cases):
+    labels = small_cases.labels.astype({"geometry": object})
+    assert with_labels(small_cases, labels) == small_cases
+    fields = (np.tile(getattr(small_cases, n), (25, 1, 1)) for n in ("flow", "area", "pressure"))
+    undeformed = np.tile(small_cases.area_undeformed, (25, 1))
+    many = Cases(*fields, undeformed, small_cases.time, small_cases.z)
+    assert many.select(np.array([11, 3], np.uint8)) == many.select([11, 3])
+
+
+def with_labels(cases, labels):
+    axes = cases.area_undeformed, cases.time, cases.z
+    return Cases(cases.flow, cases.area, cases.pressure, *axes, period=cases.period, labels=labels)

@@ -390,6 +390,7 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     assert "must have the columns time" in refused(inflow="area.csv")
     assert "must have the columns z" in refused(area="inflow.csv")
     assert "Cannot write" in refused(out="nowhere/result.csv")
+    assert "is named twice: it would be overwritten" in refused(out=folder / "inflow.csv")
     assert list(tmp_path.iterdir()) == []
 
     bad = tmp_path / "bad.csv"
@@ -494,3 +495,18 @@ def test_the_script_is_installed():
     if not script.exists():
         pytest.skip("the package is not installed with its script")
     assert "pcnde_bridge" in script.read_text()
+
+
+def test_what_the_console_cannot_write_is_replaced():
+    result = process("doctor", env=os.environ | {"PYTHONIOENCODING": "cp1252"})
+    assert "Traceback" not in result.stderr
+    assert "Python" in result.stdout
+
+
+def test_results_do_not_overwrite_each_other(folder, run, tmp_path):
+    code, _, err = run(
+        "evaluate", folder / "model.pcnde", folder / "cases.npz", "--engine", "jax",
+        "--json", tmp_path / "a", "--csv", tmp_path / "a",
+    )  # fmt: skip
+    assert code == 2
+    assert "is named twice" in err

@@ -565,6 +565,25 @@ def test_tidy_tables_round_trip(prediction, tmp_path):
     assert read_csv(tmp_path / "shuffled.csv", period=1.0) == found
 
 
+def test_an_unknown_blockage_comes_back_from_a_table(prediction, tmp_path):
+    prediction.labels["blockage"] = [0.5, np.nan, np.nan]
+    prediction.save(tmp_path / "p.csv")
+    found = read_csv(tmp_path / "p.csv", period=1.0)
+    assert list(found.labels["blockage"].isna()) == [False, True, True]
+    frame = prediction.to_frame()
+    frame.loc[0, "patient"] = None
+    frame.to_csv(tmp_path / "p.csv", index=False)
+    with pytest.raises(InputError, match=r"a label is missing in the columns \['patient'\]"):
+        read_csv(tmp_path / "p.csv", period=1.0)
+
+
+def test_labels_of_which_a_part_would_be_lost_are_refused(prediction, tmp_path):
+    prediction.save(tmp_path / "p.csv")
+    prediction.to_frame().drop(columns="patient").to_csv(tmp_path / "q.csv", index=False)
+    with pytest.raises(InputError, match=r"p\.csv.* has the labels .*'patient'.*q\.csv"):
+        read_csv([tmp_path / "p.csv", tmp_path / "q.csv"], period=1.0)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -635,8 +654,8 @@ def test_a_label_may_be_a_truth_value(prediction, tmp_path):
 
 
 def test_the_animation_has_a_file_for_each_step(prediction, tmp_path):
-    write_pvd(prediction, tmp_path / "p.pvd")
-    rows = list(ET.parse(tmp_path / "p.pvd").getroot().iter("DataSet"))
+    write_pvd(prediction, tmp_path / "p & <q>.pvd")
+    rows = list(ET.parse(tmp_path / "p & <q>.pvd").getroot().iter("DataSet"))
     assert len(rows) == 3 * 20
     assert {float(row.get("timestep")) for row in rows} == set(prediction.time.tolist())
     reader = vtkXMLPolyDataReader()

@@ -225,9 +225,9 @@ def test_predict_names_what_is_wrong(small_model, small_cases):
             predict(wrong, s_u)
     with pytest.raises(InputError, match="inflow has 5 cases and area_undeformed 12"):
         predict(q[:5], s_u)
-    with pytest.raises(InputError, match="inflow is not an array of numbers"):
+    with pytest.raises(InputError, match="inflow must hold real numbers"):
         predict([["a"] * 20], s_u)
-    with pytest.raises(InputError, match="area_undeformed is not an array of numbers"):
+    with pytest.raises(InputError, match="area_undeformed is not a regular array"):
         predict(q, [[1.0], [1.0, 2.0]])
     for bad in (np.nan, np.inf):
         wrong = q.copy()
@@ -528,3 +528,44 @@ def test_published_weights_that_are_missing_or_damaged(weights, toy_engine, name
             file[dataset] = value
         with pytest.raises(FileError, match=name):
             load()
+
+
+def test_nothing_of_the_user_is_shared_with_a_prediction(small_model, small_cases, tmp_path):
+    q, s_u = small_cases.inflow.copy(), small_cases.area_undeformed.copy()
+    expected = small_model.predict(q, s_u)
+    found, batches = small_model.predict(q, s_u), small_model.predict_batches(q, s_u, batch=5)
+    parts = [next(batches)]
+    q[:], s_u[:] = 1.0, 0.05
+    parts += batches
+    assert np.array_equal(found.area_undeformed, small_cases.area_undeformed)
+    assert np.allclose(np.concatenate([p.flow for p in parts]), expected.flow, rtol=1e-9)
+
+
+def test_a_loaded_models_grid_cannot_be_changed_by_its_predictions(
+    small_model, small_cases, tmp_path
+):
+    small_model.save(tmp_path / "model.npz")
+    prediction = PCNDE.load(tmp_path / "model.npz", "jax").predict(small_cases.select([0]))
+    for axis in (prediction.time, prediction.z):
+        with pytest.raises(ValueError, match="read-only"):
+            axis *= 10
+    mine = np.arange(3.0)
+    grid = Grid(mine, mine, 3.0)
+    mine[1] = 7
+    assert grid.time[1] == grid.z[1] == 1
+
+
+def test_masked_and_complex_inputs_are_refused(small_model, small_cases):
+    q, s_u = small_cases.inflow[:1], small_cases.area_undeformed[:1]
+    with pytest.raises(InputError, match="inflow has masked values"):
+        small_model.predict(np.ma.masked_array(q, np.arange(20) == 3), s_u)
+    with pytest.raises(InputError, match="inflow must hold real numbers"):
+        small_model.predict(q + 1j, s_u)
+    with pytest.raises(InputError, match="evaluate needs Cases"):
+        small_model.evaluate(q)
+
+
+def test_joined_batches_have_cases_of_their_own(small_model, small_cases):
+    inputs = small_cases.inflow, small_cases.area_undeformed
+    parts = [p.to_cases() for p in small_model.predict_batches(*inputs, batch=5)]
+    assert [g for part in parts for g in part.labels["geometry"]] == list(range(12))

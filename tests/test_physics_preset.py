@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -22,10 +23,11 @@ from test_closures import (
 from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.closures.training import ClosureTrainer
-from pcnde_bridge.closures.uncertainty import parts
+from pcnde_bridge.closures.uncertainty import draw, parts
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.engines import select_engine, why_not_julia
-from pcnde_bridge.errors import FileError
+from pcnde_bridge.errors import FileError, SolveError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import initial_parameters
 
@@ -450,7 +452,9 @@ def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, predict
     for samples in (-1, 2.0, True, "8"):
         with pytest.raises(InputError, match="samples must be a whole number"):
             model.predict(cases, samples=samples)
-    for level in (0.0, 1.0, -0.5, 90, np.nan):
+    with pytest.raises(InputError, match="one draw has no deviation"):
+        model.predict(cases, samples=1)
+    for level in (0.0, 1.0, -0.5, 90, np.nan, "0.9"):
         with pytest.raises(InputError, match="level must lie between 0 and 1"):
             prediction.interval(level)
     with pytest.raises(InputError, match="has no samples"):
@@ -487,7 +491,9 @@ def test_more_points_and_instants_give_the_same_answer(model, prediction):
 
 
 def test_longer_period_stores_less_on_the_way(model):
-    fast, slow = model.predict(INFLOW, AREA), model.predict(INFLOW, AREA, period=10.0)
+    fast = model.predict(INFLOW, AREA)
+    with pytest.warns(OutsideTrainingWarning, match="The period is 10 s, that of the training"):
+        slow = model.predict(INFLOW, AREA, period=10.0)
     assert slow.period == 10.0
     assert slow.time[1] == 10 / 32
     stored_fast, stored_slow = (np.abs(p.flow - INFLOW[..., None]).max() for p in (fast, slow))
@@ -498,18 +504,51 @@ def test_grids_that_cannot_be_used_are_refused(model, cases):
     for arguments, options, message in (
         ((INFLOW[:, :15], AREA), {}, "15 instants per cycle; at least 16"),
         ((1.0, AREA), {}, "0 instants per cycle"),
-        ((INFLOW, AREA[:, :4]), {"z": Z[:4]}, "at least 5 points"),
+        ((INFLOW, AREA[:, :4]), {"z": Z[:4]}, "at least 5 are needed"),
         ((INFLOW, AREA), {"z": Z[::-1]}, "z must increase"),
         ((INFLOW, AREA), {"z": np.full(41, np.nan)}, r"z\[0, 0\] is nan"),
         ((INFLOW, AREA[:, 1:]), {}, r"area_undeformed must have the shape \(case, 41\)"),
         ((INFLOW, AREA), {"period": 0.0}, "period must be a positive number"),
         ((INFLOW, AREA), {"period": np.inf}, "period must be a positive number"),
+        ((INFLOW, AREA), {"period": "1"}, "period must be a positive number"),
         ((INFLOW, -AREA), {}, "areas are positive"),
         ((cases,), {"period": 1.0}, "not both"),
         ((cases,), {"z": Z}, "not both"),
     ):
         with pytest.raises(InputError, match=message):
             model.predict(*arguments, **options)
+
+
+def test_cases_that_are_not_resolved_are_refused(model, cases):
+    few = Cases(
+        *(getattr(cases, name)[:, ::4] for name in VARIABLES),
+        cases.area_undeformed,
+        cases.time[::4],
+        cases.z,
+        labels=cases.labels,
+    )
+    for refused in (lambda: model.predict(few), lambda: fitted(few)):
+        with pytest.raises(InputError, match="8 instants per cycle; at least 16"):
+            refused()
+
+
+def test_predictions_count_time_from_the_models_first_instant(model):
+    late = PCNDE(
+        model.config, model.parameters, Grid(model.grid.time + 2, Z, 1.0), model.engine, {}, ()
+    )
+    assert np.array_equal(late.predict(INFLOW, AREA).time, model.grid.time + 2)
+
+
+def test_a_draw_that_cannot_be_computed_is_told_from_the_prediction(model, cases):
+    def draws_fail(*arguments):
+        raise SolveError("case 5 does not settle")
+
+    failing = SimpleNamespace(predict=draws_fail)
+    inputs = INFLOW[:2], AREA[:2], model.grid
+    mean = model.engine.closures.predict(model.parameters, np.zeros(2), *inputs, model.config)
+    arguments = failing, model.parameters, model.uncertainty, mean, *inputs, model.config
+    with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):
+        draw(*arguments, 8, np.random.default_rng(0))
 
 
 def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.tables import read_columns
+from pcnde_bridge.tables import read_columns, read_cycle
 
 TIME = np.arange(4) / 4
 
@@ -79,3 +80,24 @@ def test_no_file(tmp_path):
     for path in (tmp_path / "nowhere.csv", tmp_path):
         with pytest.raises(FileError, match="Cannot read a table from"):
             read_columns(path, "time", TIME, "s")
+
+
+def test_a_cycle_begins_where_the_models_does_and_has_no_end_point(tmp_path):
+    time = np.arange(21) / 20
+    flow = 1 + np.sin(2 * np.pi * time)
+    flow[-1] = flow[0]
+    path = tmp_path / "q.csv"
+
+    def written(time, flow):
+        pd.DataFrame({"time": time, "q": flow}).to_csv(path, index=False)
+        return path
+
+    period, columns = read_cycle(written(time[:-1], flow[:-1]), 0.0, 1.0)
+    assert period == pytest.approx(1.0)
+    assert np.array_equal(columns, flow[None, :-1])
+    with pytest.raises(InputError, match="the cycle's end repeats its start"):
+        read_cycle(written(time, flow), 0.0, 1.0)
+    # What is a whole cycle of another period, flat at its end, is taken.
+    assert read_cycle(written(1.1 * time, flow), 0.0, 1.0)[0] == pytest.approx(1.155)
+    with pytest.raises(InputError, match=r"first instant is 0\.5 s, the model's 0 s"):
+        read_cycle(written(time[:-1] + 0.5, flow[:-1]), 0.0, 1.0)

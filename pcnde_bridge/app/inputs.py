@@ -192,7 +192,7 @@ def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, st
         path = Path(folder, "upload.csv")
         path.write_bytes(content)
         try:
-            period, columns = read_cycle(path)
+            period, columns = read_cycle(path, float(model.grid.time[0]), model.grid.period)
         except PCNDEError as error:
             raise InputError(str(error).replace(str(path), name)) from error
     resolved = model.grid.time.size

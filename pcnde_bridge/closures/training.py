@@ -21,6 +21,7 @@ from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, parts
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Engine, OnIteration
 from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.grid import check_resolution
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
 from pcnde_bridge.provenance import provenance
 
@@ -98,6 +99,7 @@ class ClosureTrainer:
         checkpoint: str | os.PathLike[str] | None = None,
         on_record: OnRecord | None = None,
     ) -> None:
+        check_resolution(cases.n_times, cases.n_points)
         if float(np.std(cases.flow[:, :, -1])) == 0 or float(np.ptp(cases.pressure)) == 0:
             raise InputError("The training cases' flow and pressure do not vary: nothing to learn.")
         if float(np.ptp(cases.area, axis=1).max()) <= _RIGID * float(cases.area.max()):

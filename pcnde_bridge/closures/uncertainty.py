@@ -28,8 +28,9 @@ from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.engines.closures import Closures
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.validation import counted
 from pcnde_bridge.variables import VARIABLES
 
 Array = npt.NDArray[np.float64]
@@ -201,6 +202,11 @@ def draw(
     -------
     dict of arrays of shape (sample, case, time, z)
         Flow, area and pressure.
+
+    Raises
+    ------
+    SolveError
+        If a draw cannot be computed.
     """
     count = len(inflow)
     chosen = rng.integers(len(uncertainty.members), size=samples)
@@ -215,14 +221,20 @@ def draw(
             continue
         # As many draws of each member, some of them twice: another number is compiled anew.
         rows = np.resize(rows, largest)
-        solution = closures.predict(
-            parameters.replace(correction=member),
-            shift[rows].ravel(),
-            np.tile(inflow, (rows.size, 1)),
-            np.tile(area_undeformed, (rows.size, 1)),
-            grid,
-            config,
-        )
+        try:
+            solution = closures.predict(
+                parameters.replace(correction=member),
+                shift[rows].ravel(),
+                np.tile(inflow, (rows.size, 1)),
+                np.tile(area_undeformed, (rows.size, 1)),
+                grid,
+                config,
+            )
+        except SolveError as error:
+            raise SolveError(
+                f"The prediction has been computed, but not all of its samples. Of these, each "
+                f"with {counted(count, 'case')}, one after the other: {error}"
+            ) from error
         for name in VARIABLES:
             found[name][rows] = getattr(solution, name).reshape(rows.size, *mean.flow.shape)
     for number, name in enumerate(VARIABLES):

@@ -78,9 +78,11 @@ def _read(path: Path) -> list[VesselResults]:
         raise InputError(f"{path} has no rows.")
     if not labels:
         return [_vessel(path, frame, {})]
-    if frame[labels].isna().any(axis=None):
-        raise InputError(f"{path}: a label is missing in the columns {labels}.")
-    groups = frame.groupby(labels, sort=True)
+    # A data set may leave a blockage unknown.
+    lacking = [name for name in labels if name != "blockage" and frame[name].isna().any()]
+    if lacking:
+        raise InputError(f"{path}: a label is missing in the columns {lacking}.")
+    groups = frame.groupby(labels, sort=True, dropna=False)
     return [_vessel(path, rows, dict(zip(labels, key, strict=True))) for key, rows in groups]
 
 

@@ -183,7 +183,9 @@ def to_cases(
         vessels = [_of_length(vessel, first) for vessel in vessels]
     for vessel in vessels[1:]:
         _check_grid(first, vessel)
-    if labels is None and all(v.labels.keys() == first.labels.keys() for v in vessels):
+    if labels is None:
+        for vessel in vessels[1:]:
+            _check_columns(first, vessel)
         labels = _with_keys(pd.DataFrame([dict(v.labels) for v in vessels]))
     stacked = {name: np.stack([getattr(v, name) for v in vessels]) for name in VARIABLES}
     return Cases(
@@ -194,6 +196,16 @@ def to_cases(
         period=first.period,
         labels=labels,
     )
+
+
+def _check_columns(first: VesselResults, other: VesselResults) -> None:
+    """Refuse labels of which a part would be lost."""
+    one, another = sorted(first.labels), sorted(other.labels)
+    if one != another:
+        raise InputError(
+            f"{first.name} has the labels {one}, but {other.name} {another}: give all files the "
+            "same, or say what they are, labels= (--labels)."
+        )
 
 
 def read_labels(

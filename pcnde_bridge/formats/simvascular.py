@@ -16,6 +16,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import numpy.typing as npt
@@ -296,7 +297,7 @@ def write_pvd(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
     contents = [_polydata(prediction, case, step) for case, step, _ in steps]
     rows = [
         f'<DataSet timestep="{float(prediction.time[step])!r}" part="{case}" '
-        f'file="{folder.name}/{name.name}"/>'
+        f"file={quoteattr(f'{folder.name}/{name.name}')}/>"
         for case, step, name in steps
     ]
     with atomic_write(target) as temporary:
