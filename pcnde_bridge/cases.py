@@ -392,6 +392,10 @@ class Cases:
             return self._split_as_the_paper()
         if isinstance(how, Mapping):
             return self._split_by(how, "the split")
+        if not isinstance(how, str | os.PathLike):
+            raise InputError(
+                f"how must be 'paper', a mapping or the path of a JSON file, got {how!r}"
+            )
         path = Path(how)
         try:
             mapping = json.loads(path.read_text(encoding="utf-8"))

@@ -677,6 +677,11 @@ def test_labels_leave_the_names_of_a_prediction_alone(small_cases, name):
         with_labels(small_cases, small_cases.labels.assign(**{name: 1.0}))
 
 
+def test_a_split_that_is_neither_named_nor_a_file_is_refused(small_cases):
+    with pytest.raises(InputError, match=r"how must be 'paper', a mapping or the path"):
+        small_cases.split([1])
+
+
 def test_whole_numbers_may_have_any_type(small_cases):
     labels = small_cases.labels.astype({"geometry": object})
     assert with_labels(small_cases, labels) == small_cases

@@ -75,6 +75,8 @@ def test_fit_needs_a_known_preset_and_engine(small_cases, small_config, toy_engi
         PCNDE.fit(small_cases, "papers", engine=toy_engine)
     with pytest.raises(InputError, match="Unknown engine 'torch'"):
         PCNDE.fit(small_cases, small_config, engine="torch")
+    with pytest.raises(InputError, match="Unknown engine None"):
+        PCNDE.fit(small_cases, small_config, engine=None)
 
 
 def test_same_seed_same_bits_other_seed_others(small_cases, small_config, small_split, small_model):

@@ -34,7 +34,7 @@ def select_engine(name: EngineName | Engine = "auto") -> Engine:
     EngineUnavailableError
         If the engine asked for by name cannot be used; says what is missing.
     """
-    if not isinstance(name, str):
+    if not isinstance(name, str) and hasattr(name, "predict"):
         return name
     if name not in get_args(EngineName):
         raise InputError(f"Unknown engine {name!r}; choose one of {list(get_args(EngineName))}.")
