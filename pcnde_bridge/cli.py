@@ -720,17 +720,17 @@ def _fail(message: str, code: int) -> None:
 
 
 def _check_writable(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:
-    """Refuse files that cannot be written or were lost, before anything is computed."""
+    """Refuse files that cannot be written, or would replace one another, before any work."""
     known = {path.resolve() for path in inputs}
     for path in paths:
-        if path is not None and path.resolve() in known:
+        if path is None:
+            continue
+        if path.resolve() in known:
             raise InputError(f"{path} is named twice: it would be overwritten.")
-        if path is not None:
-            known.add(path.resolve())
-        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+        known.add(path.resolve())
+        if path.is_dir() or not path.parent.is_dir():
             raise FileError(f"Cannot write {path}: give a file in an existing folder.")
-        if path is not None:
-            check_writable(path, size)
+        check_writable(path, size)
 
 
 def _check_data_set(path: Path) -> None:
