@@ -280,14 +280,12 @@ class Ensemble:
             values = np.stack([prediction.variables()[name] for prediction in all_of_them])
             means[name] = values.mean(axis=0)
             away = values - means[name]
-            root = np.sqrt(np.mean(away**2, axis=0))
-            # s is estimated from few members, the deviation of the samples is to be exact.
-            spread = root * np.sqrt(count / (count - 1))
+            spread = values.std(axis=0, ddof=1)
             wanted = self.calibration.deviation(name, spread, first.z)
             # Where the members agree to the last digits, they point nowhere.
-            agree = root <= 1e-12 * np.abs(means[name])
+            agree = spread <= 1e-12 * np.abs(means[name])
             away = np.where(agree, _directions(count)[:, None, None, None], away)
-            samples[name] = means[name] + away * (wanted / np.where(agree, 1.0, root))
+            samples[name] = means[name] + away * (wanted / np.where(agree, 1.0, spread))
         return replace(first, **means, samples=samples)
 
     def evaluate(self, cases: Cases) -> pd.DataFrame:
@@ -351,9 +349,9 @@ def load_model(
 
 
 def _directions(count: int) -> Array:
-    """Numbers with the mean 0 and the mean square 1."""
+    """Numbers with the mean 0 and the deviation 1."""
     line = np.arange(count) - (count - 1) / 2
-    result: Array = line / np.sqrt(np.mean(line**2))
+    result: Array = line / line.std(ddof=1)
     return result
 
 

@@ -74,12 +74,14 @@ class Prediction:
     def deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable's draws, (case, time, z).
 
+        That of a sample, with one draw less in the denominator; of few draws it is uncertain.
+
         Raises
         ------
         InputError
             If the prediction was made without samples.
         """
-        return {name: drawn.std(axis=0) for name, drawn in self._drawn().items()}
+        return {name: drawn.std(axis=0, ddof=1) for name, drawn in self._drawn().items()}
 
     def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
         """Return the lower and upper limit of each variable, (case, time, z).

@@ -148,7 +148,7 @@ def calibrate(
             draws = predict((shift * normal[:, : len(held)]).ravel())
             for name in VARIABLES:
                 values = getattr(draws, name).reshape(_DRAWS, *getattr(held, name).shape)
-                widths[name][number].append(values.std(axis=0))
+                widths[name][number].append(values.std(axis=0, ddof=1))
     error = {name: np.concatenate(values) for name, values in errors.items()}
     profile = {name: np.quantile(e, 0.68, axis=(0, 1)) for name, e in error.items()}
 
