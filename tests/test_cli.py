@@ -498,7 +498,7 @@ def test_the_script_is_installed():
 
 
 def test_what_the_console_cannot_write_is_replaced():
-    result = process("doctor", env=os.environ | {"PYTHONIOENCODING": "cp1252"})
+    result = process("doctor", env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert "Traceback" not in result.stderr
     assert "Python" in result.stdout
 
