@@ -224,18 +224,15 @@ def _second(index: pd.Index[Any]) -> int:
 
 def _whole_numbers(name: str, column: pd.Series[Any]) -> NDArray[Any]:
     values = column.to_numpy()
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64)
-    if values.dtype.kind == "f" and np.all(np.isfinite(values)) and np.all(values % 1 == 0):
-        return values.astype(np.int64)
-    row = next((i for i, v in enumerate(values) if not _is_whole(v)), None)
-    if row is None:
-        return values.astype(np.int64)
-    raise InputError(f"labels[{name!r}][{row}] is {values[row]!r}; {name} must be a whole number")
+    for row, value in enumerate(values):
+        if not _is_whole(value):
+            raise InputError(f"labels[{name!r}][{row}] is {value!r}; {name} must be a whole number")
+    return values.astype(np.int64)
 
 
 def _is_whole(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and float(value).is_integer()
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    return number and float(value).is_integer()
 
 
 def _blockages(column: pd.Series[Any]) -> NDArray[Any]:

@@ -312,13 +312,14 @@ class Cases:
                 f"select cannot use {index!r}; give an int, a slice, a list of ints, a boolean "
                 "mask or a list of (geometry, waveform) pairs"
             )
-        asked = np.atleast_1d(asked).astype(np.intp)
+        asked = np.atleast_1d(asked)
         outside = (asked < -self.n_cases) | (asked >= self.n_cases)
         if outside.any():
             raise InputError(
                 f"there is no case {asked[outside][0]}: positions run from 0 to "
                 f"{self.n_cases - 1}, or from -{self.n_cases} to -1"
             )
+        asked = asked.astype(np.intp)  # before sums that a smaller type cannot hold
         return np.where(asked < 0, asked + self.n_cases, asked)
 
     def _paired(self, pairs: Sequence[tuple[int, int]], where: str) -> NDArray[np.intp]:

@@ -189,7 +189,7 @@ def cross_validate_(
     from pcnde_bridge.tasks import processes
 
     settings = _settings(preset, config)
-    _check_writable(csv)
+    _check_writable(csv, inputs=[Path(data)])
     train = _split(load_cases(data), split)["train"]
     try:
         table = cross_validate(
@@ -452,7 +452,7 @@ def convert(
     """Make a data set of other programs' results; doubtful ones are refused, with advice."""
     from pcnde_bridge import formats
 
-    _check_data_set(out)
+    _check_data_set(out, files)
     own: dict[str, dict[str, Any]] = {
         "simvascular": {"time_step": time_step, "branch": branch, "rigid": rigid or None},
         "sv1d": {"segments": None if segments is None else segments.split(",")},
@@ -520,7 +520,7 @@ def bench(
         given = ", ".join(option for option, value in training.items() if value)
         raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
     settings = _settings(preset, config)
-    _check_writable(json_file)
+    _check_writable(json_file, inputs=[Path(data)])
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
     sets = _split(load_cases(data), split)
     if fitted is None:
@@ -733,10 +733,10 @@ def _check_writable(*paths: Path | None, size: int = 0, inputs: Sequence[Path] =
         check_writable(path, size)
 
 
-def _check_data_set(path: Path) -> None:
+def _check_data_set(path: Path, inputs: Sequence[Path] = ()) -> None:
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
         raise InputError(f"Cannot tell the format of {path}: it must end in .npz or .h5.")
-    _check_writable(path)
+    _check_writable(path, inputs=inputs)
 
 
 def _settings(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:

@@ -240,7 +240,7 @@ class PCNDE:
         period : float, optional
             s, where it is not the model's (``physics`` preset).
         samples : int
-            Draws of the prediction (``physics`` preset): the result's ``samples``,
+            Draws of the prediction (``physics`` preset), at least 2: the result's ``samples``,
             ``deviation`` and ``interval()``.  They take memory of that many
             predictions.
         seed : int

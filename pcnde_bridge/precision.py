@@ -6,12 +6,16 @@ import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 
 from pcnde_bridge import interrupts
 from pcnde_bridge.errors import EngineError
 
-_process: int | None = None
-"""The one that JAX computes in, once it has begun."""
+
+@cache
+def _process() -> int:
+    """Return the process in which JAX has begun to compute."""
+    return os.getpid()
 
 
 @contextmanager
@@ -26,10 +30,7 @@ def double_precision() -> Iterator[None]:
     EngineError
         In a fork of a process in which JAX has computed: JAX would wait for ever there.
     """
-    global _process
-    if _process is None:
-        _process = os.getpid()
-    if os.getpid() != _process:
+    if os.getpid() != _process():
         raise EngineError(
             "JAX does not survive a fork: start worker processes with the 'spawn' method "
             '(multiprocessing.get_context("spawn")), as pcnde_bridge.tasks.processes does.'

@@ -689,6 +689,9 @@ def test_whole_numbers_may_have_any_type(small_cases):
     undeformed = np.tile(small_cases.area_undeformed, (25, 1))
     many = Cases(*fields, undeformed, small_cases.time, small_cases.z)
     assert many.select(np.array([11, 3], np.uint8)) == many.select([11, 3])
+    assert many.select(np.array([-1, 3], np.int8)) == many.select([299, 3])
+    with pytest.raises(InputError, match="there is no case 18446744073709551615"):
+        many.select(np.array([2**64 - 1], np.uint64))
 
 
 def with_labels(cases, labels):

@@ -567,9 +567,11 @@ def test_tidy_tables_round_trip(prediction, tmp_path):
 
 def test_an_unknown_blockage_comes_back_from_a_table(prediction, tmp_path):
     prediction.labels["blockage"] = [0.5, np.nan, np.nan]
+    prediction.labels["age"] = [np.nan, 61.0, 70.0]
     prediction.save(tmp_path / "p.csv")
     found = read_csv(tmp_path / "p.csv", period=1.0)
     assert list(found.labels["blockage"].isna()) == [False, True, True]
+    assert list(found.labels["age"].isna()) == [True, False, False]
     frame = prediction.to_frame()
     frame.loc[0, "patient"] = None
     frame.to_csv(tmp_path / "p.csv", index=False)

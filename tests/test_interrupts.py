@@ -187,6 +187,6 @@ def test_ctrl_c_waits_while_a_library_loads():
 def test_a_fork_of_jax_is_refused(monkeypatch):
     with precision.double_precision():
         pass
-    monkeypatch.setattr(precision, "_process", -1)
+    monkeypatch.setattr(precision, "_process", lambda: -1)
     with pytest.raises(EngineError, match="spawn"), precision.double_precision():
         pass

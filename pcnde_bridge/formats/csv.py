@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
@@ -78,8 +79,9 @@ def _read(path: Path) -> list[VesselResults]:
         raise InputError(f"{path} has no rows.")
     if not labels:
         return [_vessel(path, frame, {})]
-    # A data set may leave a blockage unknown.
-    lacking = [name for name in labels if name != "blockage" and frame[name].isna().any()]
+    # A data set may leave numbers unknown, such as the blockage, but not what names its cases.
+    known = [n for n in labels if n in ("geometry", "waveform") or not is_numeric_dtype(frame[n])]
+    lacking = [name for name in known if frame[name].isna().any()]
     if lacking:
         raise InputError(f"{path}: a label is missing in the columns {lacking}.")
     groups = frame.groupby(labels, sort=True, dropna=False)
