@@ -38,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-model", 1
 _SAME_GRID = 1e-9
-_OTHER_PERIOD = 0.1  # relative difference that is worth a warning
+_PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
 # pandas takes longer to make these names than a case takes to be predicted.
 _CASE = pd.Index(["case"])
 
@@ -256,7 +256,7 @@ class PCNDE:
         -----
         OutsideTrainingWarning
             If an input lies outside the training data, or the period is more than a
-            tenth off; the score of ``novelty`` does not know the period.
+            tenth off, which is where it scores 1.
 
         Raises
         ------
@@ -282,7 +282,7 @@ class PCNDE:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             return self._predict_cases(inflow, samples, seed)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        score = self._score(q, s_u, grid.z)
+        score = self._score(q, s_u, grid)
         return self._predict(q, s_u, grid, _numbered(0, len(q)), score, samples, seed)
 
     def predict_batches(
@@ -332,8 +332,8 @@ class PCNDE:
         """
         batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        score = self._score(q, s_u, grid.z)
-        self._warn(score, q, s_u, grid.z, grid.period)
+        score = self._score(q, s_u, grid)
+        self._warn(score, q, s_u, grid)
 
         def predictions() -> Iterator[Prediction]:
             for start in range(0, len(q), batch):
@@ -380,7 +380,7 @@ class PCNDE:
         self.check_grid(cases)
         grid = cases.grid
         inputs = cases.inflow, cases.area_undeformed
-        score = self._score(*inputs, grid.z)
+        score = self._score(*inputs, grid)
         return self._predict(*inputs, grid, cases.labels, score, samples, seed)
 
     @property
@@ -455,46 +455,43 @@ class PCNDE:
 
     def warned(self, prediction: Prediction) -> Prediction:
         """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
-        inflow = prediction.flow[:, :, 0]
+        p = prediction
         self._warn(
-            prediction.novelty,
-            inflow,
-            prediction.area_undeformed,
-            prediction.z,
-            prediction.period,
-            level=4,
+            p.novelty, p.flow[:, :, 0], p.area_undeformed, Grid(p.time, p.z, p.period), level=4
         )
-        return prediction
+        return p
 
-    def _score(self, inflow: Array, area_undeformed: Array, z: Array) -> Array | None:
-        """How far each case lies from the training data."""
+    def _scores(self, inflow: Array, area_undeformed: Array, grid: Grid) -> dict[str, Array]:
+        """How far each case lies from the training data, by what of it."""
         if self.novelty is None:
-            return None
-        return np.maximum(*self.novelty.score(inflow, area_undeformed, z))
+            return {}
+        of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
+        of_period = abs(grid.period / self.grid.period - 1) / _PERIOD_EDGE
+        return {
+            "inflow": of_inflow,
+            "undeformed area": of_area,
+            "period": np.full(len(inflow), of_period),
+        }
+
+    def _score(self, inflow: Array, area_undeformed: Array, grid: Grid) -> Array | None:
+        scores = self._scores(inflow, area_undeformed, grid)
+        return np.max(list(scores.values()), axis=0) if scores else None
 
     def _warn(
         self,
         score: Array | None,
         inflow: Array,
         area_undeformed: Array,
-        z: Array,
-        period: float,
+        grid: Grid,
         level: int = 3,
     ) -> None:
         """Warn of inputs outside the training data; the level is that of the caller to blame."""
-        if not math.isclose(period, self.grid.period, rel_tol=_OTHER_PERIOD):
-            warnings.warn(
-                f"The period is {period:g} s, that of the training data {self.grid.period:g} s. "
-                "The prediction extrapolates.",
-                OutsideTrainingWarning,
-                stacklevel=level,
-            )
         outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
-        if score is None or self.novelty is None or outside == 0:
+        if score is None or outside == 0:
             return
         worst = int(score.argmax())
-        of_inflow, of_area = self.novelty.score(inflow[[worst]], area_undeformed[[worst]], z)
-        what = "inflow" if of_inflow[0] > of_area[0] else "undeformed area"
+        scores = self._scores(inflow[[worst]], area_undeformed[[worst]], grid)
+        what = max(scores, key=lambda name: scores[name][0])
         warnings.warn(
             f"{outside} of {len(score)} cases lie outside the training data, most of all "
             f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "

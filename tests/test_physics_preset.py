@@ -492,12 +492,17 @@ def test_more_points_and_instants_give_the_same_answer(model, prediction):
 
 def test_longer_period_stores_less_on_the_way(model):
     fast = model.predict(INFLOW, AREA)
-    with pytest.warns(OutsideTrainingWarning, match="The period is 10 s, that of the training"):
+    with pytest.warns(OutsideTrainingWarning, match=r"with its period \(score 90.00"):
         slow = model.predict(INFLOW, AREA, period=10.0)
+    assert slow.novelty == pytest.approx(90.0)
     assert slow.period == 10.0
     assert slow.time[1] == 10 / 32
     stored_fast, stored_slow = (np.abs(p.flow - INFLOW[..., None]).max() for p in (fast, slow))
     assert 0 < stored_slow < 0.3 * stored_fast
+    # A tenth is the edge, less than what else is unusual does not show.
+    assert model.predict(INFLOW[:1], AREA[:1], period=1.1).novelty == pytest.approx(1.0)
+    within = model.predict(INFLOW[:1], AREA[:1], period=1.001).novelty
+    assert within == model.predict(INFLOW[:1], AREA[:1]).novelty
 
 
 def test_grids_that_cannot_be_used_are_refused(model, cases):
