@@ -434,11 +434,11 @@ class AllAtOnce(_Section):
     rounds: int = _positive(2)
     starts: int = _positive(1)
     mean_flow: Literal["area", "data"] = "area"
-    known_flow_iterations: int = _positive(80)
+    known_flow_iterations: int = _positive(120)
     iterations: int = _positive(20)
-    later_iterations: int = _positive(20)
+    later_iterations: int = _positive(60)
     pressure_iterations: int = _positive(100)
-    memory: int = _positive(20)
+    memory: int = _positive(100)
     validation: float = 0.0
     patience: int = _positive(30)
     check_every: int = _positive(10)
@@ -662,3 +662,20 @@ def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | C
     if isinstance(config, str) and config in PRESETS:
         return PRESETS[config]
     raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.")
+
+
+def resolve_pcnde_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig:
+    """Return a configuration of the paper's equations, given as itself or by its preset's name.
+
+    Raises
+    ------
+    InputError
+        If there is no preset of that name, or its equations are others.
+    """
+    found = resolve_config(config)
+    if not isinstance(found, PCNDEConfig):
+        raise InputError(
+            "This study is of the paper's equations: give a PCNDEConfig or its preset ('paper', "
+            "'published-code', 'fast'), not one of the preset 'physics'."
+        )
+    return found
