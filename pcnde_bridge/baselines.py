@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.grid import Grid, check_grid
 from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
 from pcnde_bridge.validation import whole
 from pcnde_bridge.variables import VARIABLES
@@ -171,6 +172,7 @@ class ResponseSurface:
         self._degrees = (waveform_degree, geometry_degree)
         self._wanted = (waveform_components, geometry_components)
         self._axes: tuple[_Axis, _Axis] | None = None
+        self._grid: Grid | None = None
         self._coefficients: dict[str, Array] = {}
 
     def fit(self, train: Cases) -> ResponseSurface:
@@ -199,7 +201,7 @@ class ResponseSurface:
                     f"The training cases have {count} different {name}, too few for "
                     f"{axis.n_terms} terms in them; use a smaller degree or fewer components."
                 )
-        self._axes = (axes[0], axes[1])
+        self._axes, self._grid = (axes[0], axes[1]), train.grid
         features = _products(self._axes, inputs)
         if np.linalg.matrix_rank(features) < n_terms:
             raise InputError(
@@ -221,12 +223,7 @@ class ResponseSurface:
             If it has not been fitted, or the cases have another grid.
         """
         axes = _fitted(self._axes)
-        shape = self._coefficients["flow"].shape[1:]
-        if (cases.n_times, cases.n_points) != shape:
-            raise InputError(
-                f"The response surface was fitted on {shape[0]} instants and {shape[1]} points, "
-                f"the cases have {cases.n_times} and {cases.n_points}."
-            )
+        check_grid(_fitted(self._grid), cases.grid, "train")
         features = _products(axes, (cases.inflow, cases.area_undeformed))
         return {
             name: np.tensordot(features, values, axes=1)

@@ -24,7 +24,7 @@ from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, reso
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, SolveError
-from pcnde_bridge.grid import Grid, check_resolution
+from pcnde_bridge.grid import Grid, check_grid, check_resolution
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
@@ -37,7 +37,7 @@ from pcnde_bridge.validation import whole
 Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-model", 1
-_SAME_GRID = 1e-9
+_EDGE = 1 + 1e-6  # of the training data, whose own cases may be resampled
 _PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
 # pandas takes longer to make these names than a case takes to be predicted.
 _CASE = pd.Index(["case"])
@@ -486,7 +486,7 @@ class PCNDE:
         level: int = 3,
     ) -> None:
         """Warn of inputs outside the training data; the level is that of the caller to blame."""
-        outside = 0 if score is None else int((score > 1 + _SAME_GRID).sum())
+        outside = 0 if score is None else int((score > _EDGE).sum())
         if score is None or outside == 0:
             return
         worst = int(score.argmax())
@@ -623,45 +623,7 @@ class PCNDE:
         if self.any_grid:
             check_resolution(cases.n_times, cases.n_points)
         else:
-            check_grid(self.grid, cases)
-
-
-def check_grid(trained: Grid, cases: Cases, where: str = "model.grid") -> None:
-    """Raise unless cases are on the grid that a model was trained on.
-
-    Parameters
-    ----------
-    trained : Grid
-        Of the training cases.
-    cases : Cases
-        To be predicted.
-    where : str
-        What holds the model's grid, for the message.
-
-    Raises
-    ------
-    InputError
-        Naming the first difference.
-    """
-    for name, mine, theirs in (
-        ("time", trained.time - trained.time[0], cases.time - cases.time[0]),
-        ("z", trained.z, cases.z),
-    ):
-        if mine.shape != theirs.shape:
-            raise InputError(
-                f"The cases have {theirs.size} values of {name}, but the model was trained on "
-                f"{mine.size}: bring the cases to the model's grid ({where}.{name})."
-            )
-        if np.abs(mine - theirs).max() > _SAME_GRID * (1 + np.abs(mine).max()):
-            index = int(np.abs(mine - theirs).argmax())
-            raise InputError(
-                f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
-                f"model: bring the cases to the model's grid ({where}.{name})."
-            )
-    if not math.isclose(trained.period, cases.period, rel_tol=1e-6):
-        raise InputError(
-            f"The cases' period is {cases.period:g} s, the model's {trained.period:g} s."
-        )
+            check_grid(self.grid, cases.grid)
 
 
 def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:

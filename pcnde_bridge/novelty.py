@@ -142,10 +142,10 @@ def _harmonics(inflow: Array) -> Array:
 
 
 def _analysis(n_times: int) -> Array:
-    """Matrix (time, n) of those coefficients; they are 0 above Nyquist's frequency."""
+    """Matrix (time, n) of those coefficients; they are 0 from Nyquist's frequency on."""
     harmonic = np.arange(_HARMONICS + 1)
     phase = 2 * np.pi / n_times * (np.arange(n_times)[:, None] * harmonic % n_times)
-    waves = np.stack([np.cos(phase), -np.sin(phase)], axis=1) * (harmonic <= n_times // 2)
+    waves = np.stack([np.cos(phase), -np.sin(phase)], axis=1) * (harmonic < n_times / 2)
     return waves.reshape(n_times, -1) / n_times
 
 
@@ -222,7 +222,10 @@ def _scale(
 @lru_cache(maxsize=8)
 def _inflow_scale(of: Novelty, n_times: int) -> _Scale:
     box = of.inflow_centre, of.inflow_axes, of.inflow_range, of.inflow_rest
-    return _scale(_analysis(n_times), 0.0, *box)
+    analysis = _analysis(n_times)
+    # Harmonics that so few instants do not show are taken to be the usual ones.
+    unseen = np.where(analysis.any(axis=0), 0.0, of.inflow_centre)
+    return _scale(analysis, unseen, *box)
 
 
 @lru_cache(maxsize=8)

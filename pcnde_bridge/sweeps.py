@@ -13,6 +13,7 @@ from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
+from pcnde_bridge.grid import check_grid, check_resolution
 from pcnde_bridge.tasks import Workers, run
 from pcnde_bridge.validation import whole_seeds
 
@@ -55,7 +56,8 @@ def sweep(
     Raises
     ------
     InputError
-        If there is nothing to fit, a seed comes twice, or a preset is unknown.
+        If there is nothing to fit, a seed comes twice, a preset is unknown, or a model
+        of these settings could not predict on the grid of ``held_out``.
 
     Examples
     --------
@@ -63,10 +65,22 @@ def sweep(
     >>> wider = PRESETS["fast"].replace(flow={"hidden": [16, 16]})
     >>> sweep(train, test, {"fast": "fast", "wider": wider}, seeds=range(3))  # doctest: +SKIP
     """
-    if not configs:
-        raise InputError("sweep needs at least one configuration.")
+    for name, cases in (("train", train), ("held_out", held_out)):
+        if not isinstance(cases, Cases) and not (name == "held_out" and cases is None):
+            raise InputError(f"sweep needs Cases as {name}, got {type(cases).__name__}.")
+    if not isinstance(configs, Mapping) or not configs:
+        raise InputError(
+            "sweep needs a mapping of names to at least one configuration, such as "
+            "{'fast': 'fast'}."
+        )
     seeds = whole_seeds(seeds)
     settings = {name: resolve_config(config) for name, config in configs.items()}
+    if held_out is not None:
+        for config in settings.values():
+            if isinstance(config, ClosureConfig):
+                check_resolution(held_out.n_times, held_out.n_points)
+            else:
+                check_grid(train.grid, held_out.grid, "train")
     engine = same_everywhere(engine)
     keys = [(name, seed) for name in settings for seed in seeds]
     tasks = {

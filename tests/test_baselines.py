@@ -130,10 +130,12 @@ def test_polynomial_refuses(arguments):
         ResponseSurface(*arguments)
 
 
-def test_another_grid(small_cases):
+def test_another_grid(small_cases, other_period):
     surface = ResponseSurface(1, 1).fit(small_cases)
-    with pytest.raises(InputError, match="fitted on 20 instants and 21 points"):
+    with pytest.raises(InputError, match="but the model was trained on 20"):
         surface.predict(polynomial_cases())
+    with pytest.raises(InputError, match=r"is 0\.76 in the cases but 0\.95 in"):
+        surface.predict(other_period)
 
 
 @pytest.mark.parametrize("name", list(standard_baselines()))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import FAST, PHYSICS, resolve_config
+from pcnde_bridge.config import FAST, PHYSICS, resolve_config, resolve_pcnde_config
 from pcnde_bridge.parameters import sizes
 
 GROUPS = [
@@ -235,6 +235,9 @@ def test_presets():
     assert resolve_config("paper") is PAPER
     assert resolve_config("published-code") is PUBLISHED_CODE
     assert resolve_config(PUBLISHED_CODE) is PUBLISHED_CODE
+    assert resolve_pcnde_config("fast") is FAST
+    with pytest.raises(InputError, match="of the paper's equations"):
+        resolve_pcnde_config("physics")
     for unknown in ("papers", "", None, {"flow": {}}):
         with pytest.raises(InputError, match=r"presets are .*paper"):
             resolve_config(unknown)

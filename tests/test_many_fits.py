@@ -276,7 +276,7 @@ def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
     assert table[NUMBERS].iloc[1:].notna().all(axis=None)
 
 
-def test_a_sweep(small_cases, config, engine):
+def test_a_sweep(small_cases, other_period, config, engine):
     train, held = small_cases.select(waveform=[0, 1, 3]), small_cases.select(waveform=[2])
     configs = {"plain": config, "longer": config.replace(flow={"iterations": 5})}
     table = sweep(train, held, configs, (0, 4), engine, progress=False)
@@ -291,6 +291,15 @@ def test_a_sweep(small_cases, config, engine):
         sweep(train, held, {}, (0,), engine)
     with pytest.raises(InputError, match=r"none twice; got \[0, 0, 1\]"):
         sweep(train, held, configs, [0, 0, 1], engine)
+    # Before anything is fitted.
+    for arguments, message in (
+        ((train, other_period, configs), r"bring the cases to the model's grid \(train.time\)"),
+        ((None, held, configs), "needs Cases as train, got NoneType"),
+        ((train, held.flow, configs), "needs Cases as held_out, got ndarray"),
+        ((train, held, "fast"), "needs a mapping of names"),
+    ):
+        with pytest.raises(InputError, match=message):
+            sweep(*arguments, (0,), FailingEngine(set()))
 
 
 # ---- what a file tells -----------------------------------------------------------------

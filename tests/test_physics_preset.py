@@ -628,6 +628,21 @@ def test_score_knows_nothing_of_the_grid():
     assert of_area.max() == pytest.approx(1.0, abs=0.02)
 
 
+def test_score_knows_nothing_of_waves_that_instants_do_not_show():
+    factors, area = np.array([[0.5], [1.0], [1.75]]), AREA[:3]
+
+    def family(count, highest):
+        phase = 2 * np.pi * np.arange(count) / count
+        ripple = sum(0.02 * np.cos(k * phase) for k in range(7, highest + 1))
+        return factors * (1 + 0.5 * np.cos(phase) + ripple)
+
+    novelty = Novelty.of(family(100, 12), area, Z)
+    assert novelty.score(family(100, 12), area, Z)[0].max() == pytest.approx(1.0)
+    # What 16 instants show of these waves, without the eighth harmonic and those above.
+    assert novelty.score(family(16, 7), area, Z)[0].max() == pytest.approx(1.0, abs=0.02)
+    assert novelty.score(1.2 * family(16, 7), area, Z)[0].max() > 1.4
+
+
 def test_single_training_case_has_an_inside():
     novelty = Novelty.of(INFLOW[:1], AREA[:1], Z)
     assert np.concatenate(novelty.score(INFLOW[:1], AREA[:1], Z)).max() < 1e-9
