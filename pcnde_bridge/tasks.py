@@ -46,13 +46,15 @@ from pcnde_bridge.archive import archive_kind, read_archive, write_archive
 from pcnde_bridge.errors import FileError, InputError, PCNDEError, TaskError
 from pcnde_bridge.files import check_writable, make_folder
 from pcnde_bridge.progress import TaskProgress
+from pcnde_bridge.validation import whole
 
 Task = TypeVar("Task")
 Workers = Executor | Callable[[], Executor]
 """An executor, or what makes one, such as :func:`processes`."""
 
 _KIND, _VERSION = "pcnde-task", 1
-_NAME = re.compile(r"\w[\w .,=+-]*")
+_NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # a file's name, too
+_ARRAY = "result."  # begins the names of a result's arrays, which the archive's own thus never are
 
 _BROKEN = (
     "a worker process died, and its pool with it; give what makes a pool, such as processes(2)"
@@ -108,10 +110,9 @@ def processes(workers: int, threads: int | None = 1) -> Callable[[], Executor]:
     Raises
     ------
     InputError
-        If there are no workers.
+        If ``workers`` is no whole number from 1 on.
     """
-    if workers < 1:
-        raise InputError(f"workers must be at least 1, got {workers!r}.")
+    workers = whole("workers", workers, 1)
 
     def make() -> Executor:
         spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
@@ -144,7 +145,7 @@ def run(
         Takes a task and returns its result.  With processes, one that a module
         defines.
     tasks : mapping
-        By name, for messages and files: letters, digits, spaces and ``._,=+-``.
+        By name, for messages and files: up to 200 letters, digits, spaces and ``._,=+-``.
     executor : Executor, or callable that makes one, optional
         None works in this process, one task after the other.  Of a pool of
         processes give the callable, as :func:`processes` returns it: a pool is of
@@ -170,7 +171,8 @@ def run(
     Raises
     ------
     InputError
-        If a name cannot be used, or the folder holds results of other facts.
+        If a name cannot be used, the folder holds results of other facts, or a result
+        cannot be kept there.
     FileError
         If the folder cannot be written.
     KeyboardInterrupt
@@ -184,7 +186,9 @@ def run(
     """
     for name in tasks:
         if not _NAME.fullmatch(name):
-            raise InputError(f"{name!r} cannot name a task: use letters, digits and '._,=+-'.")
+            raise InputError(
+                f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
+            )
     kept = None if folder is None else _Kept(Path(folder), facts or {})
     results: dict[str, Any] = {}
     failures: dict[str, str] = {}
@@ -364,13 +368,16 @@ class _Kept:
         except FileError as error:
             _log.warning("%s The task is done again.", error)
             return None
-        if facts["facts"] != self._facts:
+        if facts.get("facts") != self._facts:
             raise InputError(
                 f"{path} is the result of other tasks (other cases, settings or seeds). Give "
                 "another folder, or remove this one."
             )
         values = facts["values"]
-        return {key: arrays[key] if key in arrays else values[key] for key in facts["order"]}
+        return {
+            key: arrays[_ARRAY + key] if _ARRAY + key in arrays else values[key]
+            for key in facts["order"]
+        }
 
     def write(self, name: str, result: Any) -> None:
         if not isinstance(result, Mapping):
@@ -378,7 +385,19 @@ class _Kept:
                 f"The result of {name} is {type(result).__name__}; only mappings can be kept in "
                 "a folder."
             )
-        arrays = {key: value for key, value in result.items() if isinstance(value, np.ndarray)}
-        values = {key: value for key, value in result.items() if key not in arrays}
+        arrays, values = {}, {}
+        for key, value in result.items():
+            if isinstance(value, np.ndarray):
+                arrays[f"{_ARRAY}{key}"] = value
+            else:
+                values[key] = value.item() if isinstance(value, np.generic) else value
         content = {"facts": self._facts, "values": values, "order": list(result)}
-        write_archive(self._path(name), _KIND, _VERSION, content, arrays)
+        try:
+            if not all(isinstance(key, str) for key in result):
+                raise TypeError("a name is not text")
+            write_archive(self._path(name), _KIND, _VERSION, content, arrays)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"The result of {name} cannot be kept in a folder: {error}. Return arrays of "
+                "numbers or text, and what JSON can hold, by names."
+            ) from error

@@ -56,7 +56,7 @@ def test_noise_equals_a_direct_loop(toy_model, hardest, noisy, draws):
     for name in ("flow", "area", "pressure"):
         values = np.array([one[name][0] for one in each])
         np.testing.assert_allclose(study.mean[name], values.mean(axis=0), rtol=1e-12)
-        deviation = values.std(axis=0)
+        deviation = values.std(axis=0, ddof=1)
         np.testing.assert_allclose(study.deviation[name], deviation, rtol=1e-9, atol=1e-14)
         spread = deviation.mean() / np.abs(values.mean(axis=0)).max()
         assert study.spread()[name] == pytest.approx(spread, rel=1e-9)
@@ -310,6 +310,12 @@ def test_error_matrix_has_gaps_where_cases_are_missing(small_cases, predicted):
     assert matrix.isna().to_numpy().tolist() == [[False, True], [True, False]]
 
 
+def test_error_matrix_is_in_order_whatever_the_cases_are(small_cases, predicted):
+    order = np.random.default_rng(2).permutation(len(small_cases))
+    shuffled = error_matrix({"flow": predicted["flow"][order]}, small_cases.select(order))["flow"]
+    pd.testing.assert_frame_equal(shuffled, error_matrix(predicted, small_cases)["flow"])
+
+
 def test_pointwise_errors_by_hand(toy_model, hardest):
     prediction = toy_model.predict(hardest)
     errors = pointwise_errors(prediction.variables(), hardest)
@@ -328,6 +334,20 @@ def test_pointwise_errors_by_hand(toy_model, hardest):
 def test_pointwise_errors_are_of_one_case(small_cases, predicted):
     with pytest.raises(InputError, match="of one case, got 12"):
         pointwise_errors(predicted, small_cases)
+
+
+def test_errors_in_detail_are_of_like_shapes(small_cases, predicted, hardest):
+    with pytest.raises(InputError, match=r"shape \(1, 20, 21\), not \(12, 20, 21\)"):
+        box_statistics({"mine": {"flow": predicted["flow"][:1]}}, small_cases)
+    with pytest.raises(InputError, match=r"shape \(1, 1, 21\), not \(1, 20, 21\)"):
+        pointwise_errors({"flow": predicted["flow"][:1, :1]}, hardest)
+
+
+def test_a_method_that_diverged_has_no_statistics(small_cases, predicted):
+    nowhere = {"flow": np.full_like(small_cases.flow, np.nan)}
+    frame = box_statistics({"diverged": nowhere, "PCNDE": predicted}, small_cases)
+    assert frame.loc[("flow", "diverged")].isna().all()
+    assert frame.loc[("flow", "PCNDE")].notna().all()
 
 
 def test_box_statistics_equal_matplotlibs(small_cases, predicted):

@@ -207,7 +207,7 @@ def test_divergence_is_recorded(engine, small_cases):
 
 
 def test_minima_and_roughness():
-    along = amplitudes(0.1, 11)
+    along = amplitudes(0.1, np.int64(11))
     x, y = np.meshgrid(along, along, indexing="ij")
     bowl = Landscape("a", "initial", along, np.exp(x**2 + 2 * y**2), 0.0)
     assert (bowl.minima, bowl.centre) == (1, 1.0)
@@ -224,6 +224,9 @@ def test_minima_and_roughness():
     ("changes", "words"),
     [
         ({"points": 4}, "odd"),
+        ({"points": 5.0}, "points must be a whole number"),
+        ({"amplitude": np.inf}, "amplitude must be a positive number"),
+        ({"config": "physics"}, "of the paper's equations"),
         ({"amplitude": 0.0}, "positive"),
         ({"config": FAST}, "batches"),
         ({"right_hand_sides": {}}, "at least one"),

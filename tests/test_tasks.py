@@ -97,7 +97,7 @@ def test_processes_have_one_thread_of_xla(monkeypatch):
     tasks = {"a": 0}
     assert run(nproc, tasks, executor=processes(1), progress=False).results == {"a": "1"}
     assert "NPROC" not in os.environ
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="workers must be a whole number"):
         processes(0)
 
 
@@ -220,11 +220,31 @@ def test_folders_and_names_that_cannot_be_used(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="Cannot make the folder"):
         run(refuse, SEEDS, folder=tmp_path / "file" / "f", progress=False)
-    for name in ("", "../up", ".hidden", "a/b", "a\0"):
+    for name in ("", "../up", ".hidden", "a/b", "a\0", "a" * 300):
         with pytest.raises(InputError, match="cannot name a task"):
             run(refuse, {name: 1}, progress=False)
     with pytest.raises(InputError, match="only mappings can be kept"):
         run(abs, {"a": -1}, folder=tmp_path, progress=False)
+
+
+def any_names(_):
+    """Names that the archive itself uses, and numpy's numbers."""
+    return {"header": np.arange(3.0), "file": np.ones(2), "count": np.int64(3), "share": 0.5}
+
+
+def test_results_of_any_names_are_kept(tmp_path):
+    for _ in range(2):  # the second time from the folder
+        (result,) = run(any_names, {"a": 1}, folder=tmp_path, progress=False).results.values()
+        assert list(result) == ["header", "file", "count", "share"]
+        np.testing.assert_array_equal(result["header"], np.arange(3.0))
+        np.testing.assert_array_equal(result["file"], np.ones(2))
+        assert (result["count"], result["share"]) == (3, 0.5)
+
+
+@pytest.mark.parametrize("result", [{"a": object()}, {"a": np.array([None])}, {1: 2.0}])
+def test_a_result_that_no_file_can_hold_is_said(result, tmp_path):
+    with pytest.raises(InputError, match="result of first cannot be kept"):
+        run(lambda _: result, {"first": 1}, folder=tmp_path, progress=False)
 
 
 # ---- dask --------------------------------------------------------------------------

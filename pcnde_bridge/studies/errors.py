@@ -16,6 +16,7 @@ from pcnde_bridge.metrics import POOLED, compared, error_table
 Array = npt.NDArray[np.float64]
 
 _WHISKER = 1.5  # quartile distances
+_STATISTICS = ("median", "lower", "upper", "low", "high", "largest", "outliers")
 
 
 def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.DataFrame]:
@@ -31,11 +32,14 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     Returns
     -------
     dict of str to DataFrame
-        For each variable, indexed by ``geometry``, a column for each ``waveform``;
-        NaN where there is no such case.
+        For each variable, indexed by ``geometry``, a column for each ``waveform``, both
+        in increasing order; NaN where there is no such case.
     """
     table = error_table(predicted, cases).drop(index=(POOLED, POOLED))
-    return {str(name): table[name].unstack("waveform") for name in table.columns}
+    return {
+        str(name): table[name].unstack("waveform").sort_index().sort_index(axis=1)
+        for name in table.columns
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,7 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     Raises
     ------
     InputError
-        If there is not exactly one case.
+        If there is not exactly one case, or a shape is not that of the truth.
     """
     if len(case) != 1 or any(len(values) != 1 for values in predicted.values()):
         raise InputError(
@@ -101,7 +105,7 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
             "cases.select(geometry=…, waveform=…)."
         )
     distance = {
-        name: np.abs(values[0] - getattr(case, name)[0]) for name, values in predicted.items()
+        name: np.abs(values - _truth(name, values, case))[0] for name, values in predicted.items()
     }
     if "area" in distance:
         distance["area"] = distance["area"] / case.area[0, :1]
@@ -123,11 +127,11 @@ def relative_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, A
     Raises
     ------
     InputError
-        If a true value is zero.
+        If a true value is zero, or a shape is not that of the truth.
     """
     errors = {}
     for name, values in predicted.items():
-        truth = compared(name, getattr(cases, name))
+        truth = compared(name, _truth(name, values, cases))
         if not truth.all():
             raise InputError(f"The truth's {name} is 0 somewhere: no relative error there.")
         errors[name] = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
@@ -150,23 +154,33 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
         Indexed by ``variable`` and ``method``: ``median``, ``lower`` and ``upper``
         quartile, ``low`` and ``high`` whisker (the outermost values within 1.5 quartile
         distances of the box), ``largest`` value and ``outliers``, the share of values
-        beyond the whiskers.
+        beyond the whiskers.  NaN for a method that has NaN, as one that diverged.
+
+    Raises
+    ------
+    InputError
+        As :func:`relative_errors`.
     """
     rows = {}
     for method, arrays in predicted.items():
         for name, errors in relative_errors(arrays, cases).items():
+            if np.isnan(errors).any():
+                rows[name, method] = dict.fromkeys(_STATISTICS, np.nan)
+                continue
             lower, median, upper = np.percentile(errors, [25, 50, 75])
             reach = _WHISKER * (upper - lower)
             inside = errors[(errors >= lower - reach) & (errors <= upper + reach)]
-            rows[name, method] = {
-                "median": median,
-                "lower": lower,
-                "upper": upper,
-                "low": inside.min(),
-                "high": inside.max(),
-                "largest": errors.max(),
-                "outliers": 1 - inside.size / errors.size,
-            }
+            outliers = 1 - inside.size / errors.size
+            found = median, lower, upper, inside.min(), inside.max(), errors.max(), outliers
+            rows[name, method] = dict(zip(_STATISTICS, found, strict=True))
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index = pd.MultiIndex.from_tuples(list(rows), names=["variable", "method"])
     return frame
+
+
+def _truth(name: str, values: Array, cases: Cases) -> Array:
+    """Return what a predicted variable should be, of the same shape."""
+    truth: Array = getattr(cases, name)
+    if values.shape != truth.shape:
+        raise InputError(f"The predicted {name} has the shape {values.shape}, not {truth.shape}.")
+    return truth

@@ -20,7 +20,7 @@ import pandas as pd
 from pcnde_bridge import all_at_once
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PAPER, PCNDEConfig
+from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import (
     Engine,
@@ -30,10 +30,10 @@ from pcnde_bridge.engines.base import (
     TemporalFlowInputs,
 )
 from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.grid import check_grid
 from pcnde_bridge.history import Iteration, Recorder
 from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.metrics import compared, relative_error
-from pcnde_bridge.model import check_grid
 from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.progress import listening
 from pcnde_bridge.training import TrainingState
@@ -139,7 +139,7 @@ def compare_formulations(
     train: Cases,
     test: Cases | None = None,
     formulations: tuple[Formulation, ...] = FORMULATIONS,
-    config: PCNDEConfig = PAPER,
+    config: PCNDEConfig | str = PAPER,
     engine: EngineName | Engine = "auto",
     *,
     seed: int = 0,
@@ -157,7 +157,7 @@ def compare_formulations(
         Test cases are optional.
     formulations : tuple of {'spatial', 'temporal', 'temporal_with_time'}
         Which to compare.
-    config : PCNDEConfig
+    config : PCNDEConfig or str
         Networks, epochs and iterations: the groups ``flow`` and ``temporal_flow``.
     engine : {'auto', 'julia', 'jax'} or Engine
         Who computes.
@@ -181,9 +181,9 @@ def compare_formulations(
         raise InputError(f"Unknown formulations {sorted(unknown)}; choose from {FORMULATIONS}.")
     if not formulations:
         raise InputError(f"Give at least one formulation of {FORMULATIONS}.")
-    seed = whole("seed", seed)
+    seed, config = whole("seed", seed), resolve_pcnde_config(config)
     if test is not None:
-        check_grid(train.grid, test, "train")
+        check_grid(train.grid, test.grid, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
     batches = TrainingState.start(train, config.replace(training="batches"), seed).batches

@@ -22,7 +22,7 @@ import pandas as pd
 
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PAPER, PCNDEConfig, Term
+from pcnde_bridge.config import PAPER, PCNDEConfig, Term, resolve_pcnde_config
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine, FlowInputs
 from pcnde_bridge.errors import InputError, SolveError
@@ -233,11 +233,18 @@ def loss_landscape(
 
 
 def amplitudes(largest: float, points: int) -> Array:
-    """Amplitudes from −largest to largest, 0 exactly in the middle."""
-    if not isinstance(points, int) or points < 3 or points % 2 == 0:
-        raise InputError(f"points must be an odd number from 3 on, got {points!r}.")
-    if not largest > 0:
-        raise InputError(f"amplitude must be positive, got {largest!r}.")
+    """Amplitudes from −largest to largest, 0 exactly in the middle.
+
+    Raises
+    ------
+    InputError
+        If ``points`` is even or less than 3, or ``largest`` no positive number.
+    """
+    points = whole("points", points, 3)
+    if points % 2 == 0:
+        raise InputError(f"points must be odd, so that 0 is among them; got {points}.")
+    if not 0 < largest < np.inf:
+        raise InputError(f"amplitude must be a positive number, got {largest!r}.")
     half = points // 2
     return largest * np.arange(-half, half + 1) / half
 
@@ -245,7 +252,7 @@ def amplitudes(largest: float, points: int) -> Array:
 def explore_landscapes(
     cases: Cases,
     right_hand_sides: Mapping[str, tuple[Term, ...]] = RIGHT_HAND_SIDES,
-    config: PCNDEConfig = PAPER,
+    config: PCNDEConfig | str = PAPER,
     engine: EngineName | Engine = "auto",
     *,
     amplitude: float = 0.1,
@@ -265,7 +272,7 @@ def explore_landscapes(
         Training cases.
     right_hand_sides : mapping of str to tuple of str
         Names, and ``config.flow.terms`` of each.
-    config : PCNDEConfig
+    config : PCNDEConfig or str
         Everything else.
     engine : {'auto', 'julia', 'jax'} or Engine
         Who computes.
@@ -287,6 +294,7 @@ def explore_landscapes(
         If an argument is not usable.
     """
     amplitudes(amplitude, points)
+    config = resolve_pcnde_config(config)
     if config.training != "batches":
         raise InputError("The landscapes are those of training='batches'; change the config.")
     if not right_hand_sides:

@@ -164,7 +164,7 @@ def noise_study(
         case,
         {name: values[0] for name, values in drawn.items()},
         {name: values[exact:].mean(axis=0) for name, values in drawn.items()},
-        {name: values[exact:].std(axis=0) for name, values in drawn.items()},
+        {name: values[exact:].std(axis=0, ddof=1) for name, values in drawn.items()},
     )
 
 
