@@ -64,17 +64,18 @@ def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) ->
 def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
     """Length of every stage's parameter vector."""
     return {
-        "flow": _network_size(layer_sizes("flow", config, n_times, n_points)),
+        "flow": network_size(layer_sizes("flow", config, n_times, n_points)),
         "intermediate_area": 2 * n_points,
         "fourier_area": 2 * n_points,
-        "temporal_pressure": _network_size(
+        "temporal_pressure": network_size(
             layer_sizes("temporal_pressure", config, n_times, n_points)
         ),
         "spatial_pressure": 2 + 2 * n_times,
     }
 
 
-def _network_size(widths: Sequence[int]) -> int:
+def network_size(widths: Sequence[int]) -> int:
+    """Count a network's weights and biases, from its layers' widths."""
     return sum((n_in + 1) * n_out for n_in, n_out in pairwise(widths))
 
 

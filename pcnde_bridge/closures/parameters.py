@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.parameters import network_size
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
         "outlet": 4,
         "losses": 4,
         "wall": 5 if config.wall.law == "membrane" else 3,
-        "correction": CORRECTION_SCALARS + sum((n + 1) * m for n, m in pairwise(widths)),
+        "correction": CORRECTION_SCALARS + network_size(widths),
     }
 
 

@@ -13,13 +13,11 @@ grid.
 
 from __future__ import annotations
 
-import itertools
-
 import jax
 import jax.numpy as jnp
 
-_SCALARS = 4
-"""Before the weights: κ, c, u_scale and y_scale."""
+from pcnde_bridge.closures.parameters import CORRECTION_SCALARS
+from pcnde_bridge.engines.jax.network import unpack
 
 
 def storage_factor(parameters: jax.Array) -> jax.Array:
@@ -48,13 +46,8 @@ def hidden_share(
         Widths of the hidden layers.
     """
     x = jnp.stack([pressure_rate / parameters[2], flow / parameters[3]], axis=-1)
-    sizes = (2, *hidden, 1)
-    at = _SCALARS
-    for layer, (n, m) in enumerate(itertools.pairwise(sizes)):
-        weight = parameters[at : at + n * m].reshape(n, m)
-        bias = parameters[at + n * m : at + (n + 1) * m]
-        at += (n + 1) * m
-        x = x @ weight + bias
-        if layer < len(hidden):
-            x = jnp.tanh(x)
-    return parameters[1] * jax.nn.sigmoid(x[..., 0] + shift)
+    *layers, last = unpack(parameters[CORRECTION_SCALARS:], (2, *hidden, 1))
+    for weight, bias in layers:
+        x = jnp.tanh(x @ weight + bias)
+    weight, bias = last
+    return parameters[1] * jax.nn.sigmoid((x @ weight + bias)[..., 0] + shift)
