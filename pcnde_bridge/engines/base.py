@@ -1,4 +1,4 @@
-"""What a computing engine is: five stages, each of which can solve, judge and fit.
+"""What a computing engine is: stages, each of which can solve, judge and fit.
 
 Everything that crosses this border is a plain float64 array in (case, time, z)
 order or a flat parameter vector (see :mod:`pcnde_bridge.parameters`).  The
@@ -229,9 +229,19 @@ class Stage(Protocol[InputsT]):
     def objective(
         self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
     ) -> Objective:
-        """:meth:`loss_and_gradient` of the chosen cases, made ready for many evaluations.
+        """Make :meth:`loss_and_gradient` ready for many evaluations.
 
-        ``chosen`` (case,) is true for the cases that count.
+        Parameters
+        ----------
+        inputs, target, grid, config
+            As of :meth:`loss_and_gradient`.
+        chosen : array of bool of shape (case,)
+            True for the cases that count.
+
+        Returns
+        -------
+        callable
+            Of the parameters: loss and gradient.
         """
         ...
 
@@ -245,7 +255,23 @@ class Stage(Protocol[InputsT]):
         iterations: int,
         on_iteration: OnIteration | None = None,
     ) -> Fit:
-        """Minimise :meth:`loss_and_gradient` by BFGS from ``parameters``.
+        """Minimise :meth:`loss_and_gradient` by BFGS.
+
+        Parameters
+        ----------
+        parameters : array of shape (size,)
+            Where to start.
+        inputs, target, grid, config
+            As of :meth:`loss_and_gradient`.
+        iterations : int
+            At most so many.
+        on_iteration : callable, optional
+            Called with the number and loss of each iteration; may raise to stop.
+
+        Returns
+        -------
+        Fit
+            Parameters, losses, and whether it converged.
 
         Raises
         ------
@@ -256,7 +282,7 @@ class Stage(Protocol[InputsT]):
 
 
 class Engine(Protocol):
-    """A computing engine: the five stages, and all of them in their order.
+    """A computing engine: the stages, and the five of the paper in their order.
 
     It can be pickled: another process starts its own.
 
@@ -269,7 +295,7 @@ class Engine(Protocol):
     closures : Closures
         What the ``physics`` preset needs.
     flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
-        The five stages.
+        The five stages of the paper.
     temporal_flow
         The momentum equation in time, in the place of ``flow``.
     """

@@ -26,13 +26,43 @@ class Closures(Protocol):
     def losses(
         self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """Return p − p(L), dyn/cm², of a flow that is known everywhere, as a function."""
+        """Pressure losses of a flow that is known everywhere.
+
+        Parameters
+        ----------
+        flow : array of shape (case, time, z)
+            Q, mL/s.
+        area_undeformed : array of shape (case, z)
+            S_u, cm².
+        grid : Grid
+            Instants (s), points (cm) and period (s).
+        config : ClosureConfig
+            Settings.
+
+        Returns
+        -------
+        callable
+            Of the parameters ``losses``: p − p(L), dyn/cm², (case, time, z).
+        """
         ...
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """Return S, cm², under a pressure that is known everywhere, as a function."""
+        """Area under a pressure that is known everywhere.
+
+        Parameters
+        ----------
+        pressure : array of shape (case, time, z)
+            p, dyn/cm².
+        area_undeformed, grid, config
+            As of :meth:`losses`.
+
+        Returns
+        -------
+        callable
+            Of the parameters ``wall``: S, cm², (case, time, z).
+        """
         ...
 
     def flow(
@@ -44,9 +74,23 @@ class Closures(Protocol):
         grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
-        """Return Q, mL/s, (case, time, point) of all coupled, as a function of the correction.
+        """Flow of all closures coupled.
 
-        ``others`` holds the other closures' parameters, ``points`` indices into z.
+        Parameters
+        ----------
+        others : ClosureParameters
+            Its outlet, losses and wall are used.
+        inflow : array of shape (case, time)
+            Q_in, mL/s.
+        area_undeformed, grid, config
+            As of :meth:`losses`.
+        points : array of int of shape (point,)
+            Indices into z.
+
+        Returns
+        -------
+        callable
+            Of the parameters ``correction``: Q, mL/s, (case, time, point).
         """
         ...
 
@@ -59,7 +103,23 @@ class Closures(Protocol):
         grid: Grid,
         config: ClosureConfig,
     ) -> Solution:
-        """Return flow, area and pressure; ``shift`` (case,) moves the correction's logit.
+        """Predict flow, area and pressure.
+
+        Parameters
+        ----------
+        parameters : ClosureParameters
+            All closures'.
+        shift : array of shape (case,)
+            Moves the correction's logit: 0, or a draw of what differs from case to case.
+        inflow : array of shape (case, time)
+            Q_in, mL/s.
+        area_undeformed, grid, config
+            As of :meth:`losses`.
+
+        Returns
+        -------
+        Solution
+            (case, time, z): mL/s, cm², dyn/cm².
 
         Raises
         ------
