@@ -242,11 +242,8 @@ function begin_case!(coupled::Coupled{T}, vessel, outlet::OutletLaw, inflow, off
     coupled.mean_pressure = real(outlet.impedance[1]) * mean_flow(coupled) + offset
     coupled.largest_inflow = maximum(abs, inflow)
     coupled.settled, coupled.change = false, zero(T)
-    n_other = length(total) - N_MODES
-    for k in eachindex(total)
-        slope = k > n_other ? vessel.flow_slope[end, k - n_other] : 0.0
-        total[k] = vessel.flow[end, 1 + k] + coupled.mean_pressure * slope
-    end
+    @views at_outlet = (vessel.flow[end:end, 2:end], vessel.flow_slope[end:end, :])
+    at_mean!(transpose(total), at_outlet..., coupled.mean_pressure)
     return nothing
 end
 
@@ -477,8 +474,8 @@ end
 """
     at_mean!(at, functions, slope, mean)
 
-Fill `at` with a vessel's functions of z, (z, function), at this mean of P: those after the
-first three belong to the modes, whose `slope` (z, mode) it multiplies.
+Fill `at` with a vessel's functions of z, (z, function), at this mean of P: the last ones
+belong to the modes, whose `slope` (z, mode) it multiplies.
 """
 function at_mean!(at, functions, slope, mean)
     n_other = size(functions, 2) - size(slope, 2)
