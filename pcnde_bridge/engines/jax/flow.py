@@ -14,19 +14,16 @@ grid points, so that part is computed once on the grid and interpolated.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.equal_steps import integrate
+from pcnde_bridge.engines.jax.march import Here, march
 from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
-from pcnde_bridge.engines.jax.step_control import PIController
 from pcnde_bridge.parameters import layer_sizes
-
-CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is repeated
 
 
 class FlowNetwork(NamedTuple):
@@ -88,7 +85,7 @@ def solve(
     -------
     flow : array of shape (case, time, z)
         Q, mL/s.
-    solved : array of shape () or, with equal steps, (case,)
+    solved : array of shape (case,)
         Whether the integration came to its end.
     """
     network = take_apart(parameters, inflow.shape[1], config)
@@ -129,23 +126,20 @@ def solve_hidden(
     -------
     hidden : array of shape (case, z, hidden)
         H at the points.
-    solved : array of shape () or, with equal steps, (case,)
+    solved : array of shape (case,)
         Whether the integration came to its end.
     """
     if config.flow.steps is not None:
         state = _in_equal_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
         return jnp.moveaxis(state, 0, 2), _all_finite(state)
-    stage, n_points = config.flow, z.shape[0]
+    stage = config.flow
     activation = ACTIVATIONS[stage.activation]
     last, last_bias = network.last, network.last_bias
     on_grid = jnp.moveaxis(from_area, 1, 0) + network.first_bias + inflow @ network.from_flow
     along_bias, along_hidden = last_bias @ network.from_flow, last @ network.from_flow
 
-    def slope(position: Any, state: jax.Array, _: None) -> jax.Array:
-        i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
-        share = (position - z[i]) / (z[i + 1] - z[i])
-        drive = (1 - share) * on_grid[i] + share * on_grid[i + 1]
-        values = activation(drive + (position - z[0]) * along_bias + state @ along_hidden)
+    def rate(here: Here, position: jax.Array, state: jax.Array) -> jax.Array:
+        values = activation(here(on_grid) + (position - z[0]) * along_bias + state @ along_hidden)
         for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
         return values
@@ -153,30 +147,15 @@ def solve_hidden(
     def size_of_flow(position: jax.Array, state: jax.Array) -> jax.Array:
         return jnp.abs(inflow + (position - z[0]) * last_bias + state @ last)
 
-    def error_norm(
+    def scaled_error(
         z0: jax.Array, z1: jax.Array, y0: jax.Array, y1: jax.Array, error: jax.Array
     ) -> jax.Array:
         size = jnp.maximum(size_of_flow(z0, y0), size_of_flow(z1, y1))
-        scaled = (error @ last) / (stage.atol + stage.rtol * size)
-        mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * inflow.shape[1])
-        return jnp.sqrt(mean)
+        return (error @ last) / (stage.atol + stage.rtol * size)
 
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(slope),
-        diffrax.Tsit5(),
-        z[0],
-        z[-1],
-        (z[1] - z[0]) if stage.first_step is None else stage.first_step,
-        jnp.zeros((inflow.shape[0], last.shape[0])),
-        saveat=diffrax.SaveAt(ts=z),
-        stepsize_controller=PIController(error_norm),
-        adjoint=diffrax.RecursiveCheckpointAdjoint(checkpoints=CHECKPOINTS),
-        max_steps=stage.max_steps,
-        throw=False,
-    )
-    hidden = jnp.moveaxis(solution.ys, 0, 1)
-    solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(hidden))
-    return hidden, solved
+    start = jnp.zeros((inflow.shape[0], last.shape[0]))
+    hidden, solved = march(rate, scaled_error, start, weight, z, stage)
+    return jnp.moveaxis(hidden, 0, 1), solved
 
 
 def _solve_in_equal_steps(

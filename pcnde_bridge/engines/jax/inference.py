@@ -81,7 +81,7 @@ def predict(
     @jax.vmap
     def one_pass(q: jax.Array, from_area: jax.Array) -> tuple[jax.Array, jax.Array]:
         hidden, solved = solve_hidden(network, q[None], from_area[None], jnp.ones(1), z, config)
-        return hidden[0], solved
+        return hidden[0], solved[0]
 
     area_to_layer = network.from_area.sum(axis=0)
     wave_to_layer = fourier_in_time @ network.from_area

@@ -9,17 +9,14 @@ The terms are not in the last layer's span, so Q itself is stepped: what
 
 from __future__ import annotations
 
-from typing import Any
-
-import diffrax
 import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.area import flow_slope
-from pcnde_bridge.engines.jax.flow import CHECKPOINTS, take_apart
+from pcnde_bridge.engines.jax.flow import take_apart
+from pcnde_bridge.engines.jax.march import Here, march
 from pcnde_bridge.engines.jax.network import ACTIVATIONS
-from pcnde_bridge.engines.jax.step_control import PIController
 
 DELTA = 1 / 3
 """δ of a parabolic velocity profile."""
@@ -35,7 +32,7 @@ def solve(
 ) -> tuple[jax.Array, jax.Array]:
     """Integrate cases with common steps; see :func:`pcnde_bridge.engines.jax.flow.solve`."""
     z, period = grid
-    stage, n_points = config.flow, z.shape[0]
+    stage = config.flow
     activation = ACTIVATIONS[stage.activation]
     network = take_apart(parameters, inflow.shape[1], config)
     on_grid = jnp.einsum("ntz,th->znh", area, network.from_area) + network.first_bias
@@ -43,13 +40,7 @@ def solve(
     area_on_grid, slope_on_grid = (jnp.moveaxis(a, 2, 0) for a in (area, flow_slope(area, z)))
     friction = -8 * jnp.pi * config.physics.viscosity / config.physics.density
 
-    def slope(position: Any, flow: jax.Array, _: None) -> jax.Array:
-        i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, n_points - 2)
-        share = (position - z[i]) / (z[i + 1] - z[i])
-
-        def here(on_grid: jax.Array) -> Any:
-            return (1 - share) * on_grid[i] + share * on_grid[i + 1]
-
+    def rate(here: Here, _: jax.Array, flow: jax.Array) -> jax.Array:
         values = activation(here(on_grid) + flow @ network.from_flow)
         for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
@@ -63,32 +54,13 @@ def solve(
             result = result - here(area_on_grid) / flow * rise / (2 * (1 + DELTA))
         return result
 
-    def error_norm(
+    def scaled_error(
         z0: jax.Array, z1: jax.Array, y0: jax.Array, y1: jax.Array, error: jax.Array
     ) -> jax.Array:
-        scaled = error / (stage.atol + stage.rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1)))
-        mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * inflow.shape[1])
-        return jnp.sqrt(mean)
+        return error / (stage.atol + stage.rtol * jnp.maximum(jnp.abs(y0), jnp.abs(y1)))
 
-    equal = stage.steps is not None
-    first_step = (z[1] - z[0]) if stage.first_step is None else stage.first_step
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(slope),
-        diffrax.Tsit5(),
-        z[0],
-        z[-1],
-        (z[-1] - z[0]) / stage.steps if stage.steps is not None else first_step,
-        inflow,
-        saveat=diffrax.SaveAt(ts=z),
-        stepsize_controller=diffrax.ConstantStepSize() if equal else PIController(error_norm),
-        adjoint=diffrax.RecursiveCheckpointAdjoint(checkpoints=CHECKPOINTS),
-        # One more than the steps, for round-off in their sum.
-        max_steps=stage.steps + 1 if stage.steps is not None else stage.max_steps,
-        throw=False,
-    )
-    flow = jnp.transpose(solution.ys, (1, 2, 0))
-    solved = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(flow), (1, 2))
-    return flow, solved
+    flow, solved = march(rate, scaled_error, inflow, weight, z, stage)
+    return jnp.transpose(flow, (1, 2, 0)), solved
 
 
 def change_in_time(flow: jax.Array, period: jax.Array) -> jax.Array:

@@ -186,7 +186,7 @@ class JaxStage(Generic[InputsT]):
         def one(*case: jax.Array) -> tuple[jax.Array, jax.Array]:
             batch_of_one = tuple(a[None] for a in case)
             predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
-            return predicted[0], solved
+            return predicted[0], jnp.all(solved)
 
         return jax.vmap(one)(*inputs)
 
