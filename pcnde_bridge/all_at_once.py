@@ -17,13 +17,14 @@ The engine computes the flow and runs L-BFGS; everything else is small enough fo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.algorithm import Unit
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import AllAtOnce, PCNDEConfig, Physics
+from pcnde_bridge.config import PCNDEConfig, Physics
 from pcnde_bridge.engines.base import (
     Engine,
     FlowInputs,
@@ -36,57 +37,92 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.held_out import Positions, training_and_validation
 from pcnde_bridge.hidden_layers import HiddenLayers
+from pcnde_bridge.history import Recorder
 from pcnde_bridge.inference import initial_area
 from pcnde_bridge.known_flow import KnownFlow
 from pcnde_bridge.lbfgs import Whitening, minimise
 from pcnde_bridge.least_squares import solve_normal, solve_per_point
-from pcnde_bridge.parameters import layer_sizes
+from pcnde_bridge.parameters import initial_parameters, layer_sizes
 from pcnde_bridge.stenosis import pressure_drop
 
-Array = npt.NDArray[np.float64]
-Positions = npt.NDArray[np.int64]
+if TYPE_CHECKING:
+    from pcnde_bridge.training import TrainingState
 
-_FEWEST = 8  # cases, below which none is spared for validation
+Array = npt.NDArray[np.float64]
+
 _SAMPLES = 4000  # about so many of the flow network's inputs give their spread
 _AGREEMENT = 0.5  # of stored volume and flow, squared correlation, for one to tell of the other
 _RIDGE = 1e-9  # on the pressure network's last layer, p_ref²
 
 
-def parts(cases: Cases, settings: AllAtOnce, seed: int) -> tuple[Positions, ...]:
-    """Positions of the training part and, unless it is left out, of the validation part.
+def divide(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
+    """Training part and, unless none is spared, validation part."""
+    return training_and_validation(cases, config.all_at_once.validation, seed)
 
-    Whole waveforms and whole geometries, in turns and drawn at random, go into the
-    validation part until it has its share of the cases.  Labels with a single value
-    are not drawn from; where no label groups the cases, single cases are drawn.
 
-    Parameters
-    ----------
-    cases : Cases
-        All training cases.
-    settings : AllAtOnce
-        Gives the share.
-    seed : int
-        Of the draw.
+def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
+    """All units of a run, in order: rounds of flow and area, then the pressure."""
+    rounds = range(1, config.all_at_once.rounds + 1)
+    units = [Unit(work, r, 1) for r in rounds for work in ("flow", "coupling")]
+    # As the flow: with the validation part kept apart, then on all cases.
+    units += [Unit("temporal_pressure", r, 1) for r in range(1, n_batches + 1)]
+    return [*units, Unit("spatial_pressure", 1, 1)]
+
+
+def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
+    """Count the iterations of all stages, if no fit ends early."""
+    fast = config.all_at_once
+    fits = fast.starts if config.flow.terms else 1  # of the equation in the first round
+    flow_iterations = (fast.starts + fast.rounds - 1) * fast.known_flow_iterations
+    flow_iterations += fits * fast.iterations + (fast.rounds - 1) * fast.later_iterations
+    return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
+
+
+def fit(
+    stage: str,
+    unit: Unit,
+    state: TrainingState,
+    inputs: Any,
+    target: Array,
+    cases: Cases,
+    engine: Engine,
+    config: PCNDEConfig,
+    record: Recorder,
+) -> Array:
+    """Fit a stage: with the validation part kept apart in the first round, then on all cases.
+
+    The arguments are those of :meth:`pcnde_bridge.algorithm.Algorithm.fit`.
     """
-    rng, count = np.random.default_rng(seed), len(cases)
-    everything = np.arange(count)
-    wanted = round(settings.validation * count)
-    if count < _FEWEST or wanted == 0:
-        return (everything,)
-    held = np.zeros(count, dtype=bool)
-    groups = [cases.labels[name].to_numpy() for name in ("waveform", "geometry")]
-    queues = [list(rng.permutation(np.unique(g))) for g in groups if 1 < len(np.unique(g)) < count]
-    columns = [g for g in groups if 1 < len(np.unique(g)) < count]
-    while held.sum() < wanted and any(queues):
-        for column, queue in zip(columns, queues, strict=True):
-            # A group that would take half of the cases is too large to be spared.
-            if queue and held.sum() < wanted:
-                larger = held | (column == queue.pop())
-                held = larger if larger.sum() <= count // 2 else held
-    if not held.any():
-        held[rng.permutation(count)[:wanted]] = True
-    return everything[~held], everything[held]
+    vector, first, grid = getattr(state.parameters, stage), unit.epoch == 1, cases.grid
+    selection = state.batches if first else (np.arange(len(cases)),)
+    if stage == "flow":
+        settings, starts = config.all_at_once, [vector]
+        if first:
+            size = cases.n_times, cases.n_points
+            others = range(1, settings.starts)
+            starts += [initial_parameters(config, *size, state.seed, k).flow for k in others]
+        return fit_flow(
+            starts,
+            cases,
+            inputs.area,
+            selection,
+            engine,
+            config,
+            settings.iterations if first else settings.later_iterations,
+            lambda number: record(stage, unit.epoch, number),
+        )
+    on_iteration = record(stage, unit.epoch, 1)
+    if stage == "temporal_pressure":
+        return fit_temporal_pressure(
+            vector, inputs, target, selection, engine, config, on_iteration
+        )
+    if stage == "spatial_pressure":
+        return fit_spatial_pressure(vector, inputs, target, engine, grid, config, on_iteration)
+    vector, loss = fit_area_stage(getattr(engine, stage), inputs, target, grid, config)
+    on_iteration(1, loss)
+    return vector
 
 
 def balanced_flow(cases: Cases, fitted: Positions, config: PCNDEConfig) -> Array:
@@ -253,24 +289,13 @@ def fit_flow(
     return best(ends)
 
 
-def fit_intermediate_area(
-    inputs: IntermediateAreaInputs, target: Array, engine: Engine, grid: Grid, config: PCNDEConfig
-) -> tuple[Array, float]:
-    """Return â, b̂ and the least loss on the last cycle; the arguments are a stage's."""
-    return _fit_area(engine.intermediate_area, inputs, target, grid, config)
-
-
-def fit_fourier_area(
-    inputs: FourierAreaInputs, target: Array, engine: Engine, grid: Grid, config: PCNDEConfig
-) -> tuple[Array, float]:
-    """Return a, b and the least loss; the arguments are a stage's."""
-    return _fit_area(engine.fourier_area, inputs, target, grid, config)
-
-
-def _fit_area(
+def fit_area_stage(
     stage: Stage[Any], inputs: Any, target: Array, grid: Grid, config: PCNDEConfig
 ) -> tuple[Array, float]:
-    """S = known + a(z)·f + b(z)·g, with known, f and g from the stage itself."""
+    """Return a, b of S = known + a(z)·f + b(z)·g, and the least loss on the last cycle.
+
+    Known, f and g come from the stage itself; the arguments are those of its ``fit``.
+    """
     n_times, n_points = target.shape[1:]
 
     def solve(a: float, b: float) -> Array:
@@ -283,22 +308,14 @@ def _fit_area(
     return unknowns.ravel(), loss
 
 
-def fit_area(
-    flow: Array,
-    cases: Cases,
-    engine: Engine,
-    config: PCNDEConfig,
-    record: Callable[[str], OnIteration],
-) -> tuple[Array, Array]:
-    """Both area stages on a flow (case, time, z): (â, b̂) and (a, b)."""
+def fit_area(flow: Array, cases: Cases, engine: Engine, config: PCNDEConfig) -> tuple[Array, Array]:
+    """Fit both area stages on a flow (case, time, z): return (â, b̂) and (a, b)."""
     grid = cases.grid
     first = IntermediateAreaInputs(flow, cases.area_undeformed)
-    intermediate, loss = fit_intermediate_area(first, cases.area, engine, grid, config)
-    record("intermediate_area")(1, loss)
+    intermediate, _ = fit_area_stage(engine.intermediate_area, first, cases.area, grid, config)
     start = engine.intermediate_area.solve(intermediate, first, grid, config)
     second = FourierAreaInputs(flow, initial_area(start, cases.n_times, config))
-    fourier, loss = fit_fourier_area(second, cases.area, engine, grid, config)
-    record("fourier_area")(1, loss)
+    fourier, _ = fit_area_stage(engine.fourier_area, second, cases.area, grid, config)
     return intermediate, fourier
 
 

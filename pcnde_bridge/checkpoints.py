@@ -12,15 +12,34 @@ from typing import Any, TypeVar
 import numpy.typing as npt
 
 from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import atomic_write, check_writable, remove_leftovers
+from pcnde_bridge.history import Iteration
+from pcnde_bridge.provenance import provenance
 
 Arrays = Mapping[str, npt.NDArray[Any]]
-State = TypeVar("State")
 
 _ROOM = 1 << 20  # bytes beside the numbers: names, JSON, the file system's own
 
 _log = logging.getLogger("pcnde_bridge")
+
+
+class RunState:
+    """How far a run has come, of either kind of model."""
+
+    seed: int
+    history: tuple[Iteration, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Time spent in the finished units."""
+        return self.history[-1].seconds if self.history else 0.0
+
+
+State = TypeVar("State", bound=RunState)
 
 
 def previous(path: str | os.PathLike[str]) -> Path:
@@ -32,18 +51,6 @@ def remove(path: str | os.PathLike[str]) -> None:
     """Remove a run's checkpoints, if there are any."""
     Path(path).unlink(missing_ok=True)
     previous(path).unlink(missing_ok=True)
-
-
-def tell_of_other_engine(path: Path, before: str, now: str) -> None:
-    """Warn, if they differ, that a run continues with another engine than it began with."""
-    if before != now:
-        _log.warning(
-            "%s was written with the %s engine and continues with %s: the result agrees to the "
-            "accuracy of the solver, not bit for bit.",
-            path,
-            before,
-            now,
-        )
 
 
 class Checkpoint:
@@ -59,11 +66,22 @@ class Checkpoint:
         The newest; :func:`previous` is beside it.
     kind, version : str, int
         As of :func:`~pcnde_bridge.archive.write_archive`.
+    cases, config, engine
+        Of the run: a file that belongs to other cases or another configuration is refused.
     """
 
-    def __init__(self, path: str | os.PathLike[str], kind: str, version: int) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        kind: str,
+        version: int,
+        cases: Cases,
+        config: PCNDEConfig | ClosureConfig,
+        engine: Engine,
+    ) -> None:
         self.path = Path(path)
         self._kind, self._version = kind, version
+        self._cases, self._config, self._engine = cases, config, engine
         self._damaged = False
 
     def check(self, numbers: int) -> None:
@@ -79,39 +97,72 @@ class Checkpoint:
         # Two are kept while a third is written.
         check_writable(self.path, 3 * 8 * numbers + _ROOM)
 
-    def read(self, parse: Callable[[Path, dict[str, Any], Arrays], State]) -> State | None:
+    def read(self, seed: int, parse: Callable[[dict[str, Any], Arrays], State]) -> State | None:
         """Return the newest state that is whole, or None if the run has not begun.
 
         Parameters
         ----------
+        seed : int
+            Of the run.
         parse : callable
-            Makes the state of a file's path, facts and arrays, raising FileError
-            if they are not whole.
+            Makes the state of a file's facts and arrays; it may raise what comes of
+            some that are missing or do not belong together.
 
         Raises
         ------
+        InputError
+            If the newest belongs to other cases, another configuration or seed.
         FileError
             If the newest is damaged and there is no whole one before it.
         """
         if not self.path.exists():
             return None
         try:
-            return self._read(self.path, parse)
+            return self._read(self.path, seed, parse)
         except FileError as error:
             before = previous(self.path)
             try:
-                state = self._read(before, parse)
+                state = self._read(before, seed, parse)
             except (FileError, InputError):
                 raise error from None
             _log.warning("%s Continuing from the checkpoint before it, %s.", error, before)
             self._damaged = True
             return state
 
-    def _read(self, path: Path, parse: Callable[[Path, dict[str, Any], Arrays], State]) -> State:
-        return parse(path, *read_archive(path, self._kind, self._version, "checkpoint"))
+    def _read(
+        self, path: Path, seed: int, parse: Callable[[dict[str, Any], Arrays], State]
+    ) -> State:
+        facts, arrays = read_archive(path, self._kind, self._version, "checkpoint")
+        try:
+            other = self._other_run(facts, seed)
+            state = None if other else parse(facts, arrays)
+            engine = facts["provenance"]["engine"]
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise FileError(f"{path} is not a whole checkpoint: {error!r}.") from error
+        if state is None:
+            raise InputError(f"{path} belongs to a run {other}, or another checkpoint file.")
+        if engine != self._engine.name:
+            _log.warning(
+                "%s was written with the %s engine and continues with %s: the result agrees to "
+                "the accuracy of the solver, not bit for bit.",
+                path,
+                engine,
+                self._engine.name,
+            )
+        return state
 
-    def write(self, facts: Mapping[str, Any], arrays: Arrays) -> None:
-        """Write a state, keeping the one before it.
+    def _other_run(self, facts: Mapping[str, Any], seed: int) -> str | None:
+        """Say of which other run the facts are, if they are, and what would be this one."""
+        if facts["cases"] != self._cases.fingerprint():
+            return "on other cases. Give the same cases"
+        if type(self._config).from_dict(facts["config"]) != self._config:
+            return "with another configuration. Give the same one"
+        if facts["seed"] != seed:
+            return f"with seed {facts['seed']}, not {seed}. Give that seed"
+        return None
+
+    def write(self, seed: int, facts: Mapping[str, Any], arrays: Arrays) -> None:
+        """Write what a state is made of, and of which run it is, keeping the one before it.
 
         Raises
         ------
@@ -125,5 +176,11 @@ class Checkpoint:
             # A copy, so that there is no moment without the newest file.
             with atomic_write(before) as temporary:
                 shutil.copyfile(self.path, temporary)
-        write_archive(self.path, self._kind, self._version, facts, arrays)
+        run = {
+            "seed": seed,
+            "config": self._config.to_dict(),
+            "cases": self._cases.fingerprint(),
+            "provenance": provenance(self._cases, self._engine, seed),
+        }
+        write_archive(self.path, self._kind, self._version, {**run, **facts}, arrays)
         self._damaged = False

@@ -5,43 +5,16 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine
-from pcnde_bridge.errors import InputError
 from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
+from pcnde_bridge.held_out import each_waveform_and_geometry
 from pcnde_bridge.tasks import Workers, run
 from pcnde_bridge.validation import whole
-
-Positions = npt.NDArray[np.int64]
-
-
-def parts(cases: Cases) -> dict[tuple[str, int], Positions]:
-    """List the parts that are held out in turns: every waveform, then every geometry.
-
-    Single cases of a waveform or a geometry would be too easy: the others tell most of
-    what there is to know.
-
-    Raises
-    ------
-    InputError
-        If there is neither a second waveform nor a second geometry.
-    """
-    found: dict[tuple[str, int], Positions] = {}
-    for label in ("waveform", "geometry"):
-        values = cases.labels[label].to_numpy()
-        distinct = np.unique(values)
-        if len(distinct) > 1:
-            found |= {(label, int(value)): np.flatnonzero(values == value) for value in distinct}
-    if not found:
-        raise InputError(
-            "There is a single waveform and a single geometry: nothing can be held out."
-        )
-    return found
 
 
 def cross_validate(
@@ -89,7 +62,7 @@ def cross_validate(
     seed = whole("seed", seed)
     settings = resolve_config(config)
     engine = same_everywhere(engine)
-    chosen = parts(cases)
+    chosen = each_waveform_and_geometry(cases)
     everything = np.arange(len(cases))
     tasks = {
         f"{label} {value}": FitTask(

@@ -1,16 +1,10 @@
-r"""Deep ensembles: several fits from different seeds, and how far they may be off.
+"""Deep ensembles: several fits from different seeds, and how far they may be off.
 
-The prediction is the mean of the members, which all learn from all training cases.  Its
-standard deviation is, for each variable,
-
-.. math:: \sigma = c \sqrt{s^2 + e(z)^2},
-
-with s the members' standard deviation, which grows away from the training data, e(z) an
-error along the vessel that all members share, and c a factor.  e and c are found on
-training cases that were left out, whole waveforms and whole geometries at a time
-(:func:`pcnde_bridge.closures.uncertainty.parts`): for each part, a small ensemble is
-fitted to the rest; e(z) is the 68 % quantile of its errors at each point, and c makes 90 %
-intervals hold 90 % of the values left out.  After Lakshminarayanan, Pritzel and Blundell
+The prediction is the mean of the members, which all learn from all training cases.  Their
+standard deviation, which grows away from the training data, is calibrated
+(:mod:`pcnde_bridge.calibration`) on training cases that were left out, whole waveforms and
+whole geometries at a time (:func:`pcnde_bridge.held_out.neighbouring_parts`): for each part,
+a small ensemble is fitted to the rest.  After Lakshminarayanan, Pritzel and Blundell
 (2017), with the calibration in place of their variance network.
 """
 
@@ -19,7 +13,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,14 +21,15 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge.archive import archive_kind, read_archive, write_archive
+from pcnde_bridge.calibration import Calibration, shared_error
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.closures.uncertainty import calibrated_factor, parts
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, TaskError
 from pcnde_bridge.fits import FitTask, common_facts, fit_model, model_of, same_everywhere
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.held_out import neighbouring_parts
 from pcnde_bridge.metrics import error_table
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
@@ -47,46 +42,6 @@ Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-ensemble", 1
 _LEFT_OUT_FITS = 2  # without each part: the fewest that have a deviation
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """What makes a deviation of the members' spread.
-
-    Attributes
-    ----------
-    profile : array of shape (3, point)
-        e(z) of flow, area and pressure, equally spaced from inlet to outlet.
-    scale : array of shape (3,)
-        c of flow, area and pressure.
-    """
-
-    profile: Array
-    scale: Array
-
-    def deviation(self, variable: str, spread: Array, z: Array) -> Array:
-        """Return σ of the members' deviation s, both (case, time, z)."""
-        number = VARIABLES.index(variable)
-        along = np.linspace(0, 1, self.profile.shape[1])
-        shared = np.interp((z - z[0]) / (z[-1] - z[0]), along, self.profile[number])
-        result: Array = self.scale[number] * np.hypot(spread, shared)
-        return result
-
-    def check(self) -> None:
-        """Raise if the arrays do not belong together, or are not finite.
-
-        Raises
-        ------
-        InputError
-            Saying what their shapes are.
-        """
-        n, shape = len(VARIABLES), self.profile.shape
-        if self.scale.shape != (n,) or len(shape) != 2 or shape[0] != n or shape[1] == 0:
-            raise InputError(
-                f"The calibration's arrays do not belong together: {shape}, {self.scale.shape}."
-            )
-        if not (np.isfinite(self.scale).all() and np.isfinite(self.profile).all()):
-            raise InputError("The calibration holds values that are not finite.")
 
 
 class Ensemble:
@@ -112,6 +67,8 @@ class Ensemble:
     ) -> None:
         if len(members) < 2:
             raise InputError(f"An ensemble has at least 2 members, got {len(members)}.")
+        if len({(m.grid.time.tobytes(), m.grid.z.tobytes(), m.grid.period) for m in members}) > 1:
+            raise InputError("The members were trained on different grids: they have no mean.")
         calibration.check()
         self.members = tuple(members)
         self.calibration = calibration
@@ -173,7 +130,7 @@ class Ensemble:
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = same_everywhere(engine)
-        left_out = parts(cases, folds)
+        left_out = neighbouring_parts(cases, folds)
         if not left_out:
             raise InputError(
                 f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."
@@ -357,18 +314,12 @@ def _directions(count: int) -> Array:
 
 def _calibrated(held: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
     """Find profile and factor on cases that the models before them have not seen."""
-    errors: dict[str, list[Array]] = {name: [] for name in VARIABLES}
-    spreads: dict[str, list[Array]] = {name: [] for name in VARIABLES}
+    errors, spreads = [], []
     for models, cases in held:
         found = [model.predict_silently(cases).variables() for model in models]
-        for name in VARIABLES:
-            values = np.stack([variables[name] for variables in found])
-            errors[name].append(np.abs(values.mean(axis=0) - getattr(cases, name)))
-            spreads[name].append(values.std(axis=0, ddof=1))
-    profiles, scales = [], []
-    for name in VARIABLES:
-        error, spread = np.concatenate(errors[name]), np.concatenate(spreads[name])
-        profile = np.quantile(error, 0.68, axis=(0, 1))
-        profiles.append(profile)
-        scales.append(calibrated_factor(error, np.hypot(spread, profile)))
-    return Calibration(np.stack(profiles), np.array(scales))
+        values = np.array([[variables[name] for variables in found] for name in VARIABLES])
+        true = np.stack([getattr(cases, name) for name in VARIABLES])
+        errors.append(np.abs(values.mean(axis=1) - true))
+        spreads.append(values.std(axis=1, ddof=1))
+    error = np.concatenate(errors, axis=1)
+    return Calibration.fit(shared_error(error), error, np.concatenate(spreads, axis=1))

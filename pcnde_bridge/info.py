@@ -1,17 +1,25 @@
-"""What a model, an ensemble or a checkpoint is, without starting an engine."""
+"""What a model, an ensemble, a checkpoint or a data set is, without starting an engine."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from pcnde_bridge import ensemble, model, training
 from pcnde_bridge.archive import archive_kind, read_archive
+from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures import training as closures_training
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig
-from pcnde_bridge.errors import FileError
+from pcnde_bridge.errors import FileError, PCNDEError
 from pcnde_bridge.recipes import config_from
+from pcnde_bridge.validation import listed
+
+Array = npt.NDArray[np.float64]
 
 _FORMATS: dict[str, tuple[int, str]] = {
     module.FORMAT: (module.FORMAT_VERSION, what)
@@ -30,14 +38,15 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     Parameters
     ----------
     path : path-like
-        File of a model, an ensemble or a checkpoint.
+        File of a model, an ensemble, a checkpoint or a data set.
 
     Returns
     -------
     dict
         Whatever JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
         ``config``, all settings; ``provenance``; and, by kind, ``grid``, ``members``,
-        ``uncertainty``, ``finished`` and ``units`` (of work).
+        ``uncertainty``, ``finished`` and ``units`` (of work).  Of a data set: ``kind``,
+        ``grid``, ``cases``, ``fingerprint`` and ``labels``.
 
     Raises
     ------
@@ -46,6 +55,8 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     kind = archive_kind(path)
     if kind not in _FORMATS:
+        with contextlib.suppress(PCNDEError):
+            return _data_set(Cases.load(path))
         # Says whether it is missing, damaged or something else.
         read_archive(path, model.FORMAT, model.FORMAT_VERSION, "model")
         raise FileError(f"{path} is not a file of pcnde_bridge.")
@@ -66,18 +77,30 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
             vectors = len(facts.get("vectors", ()))
             found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
         else:
-            time, z = arrays[f"{prefix}time"], arrays[f"{prefix}z"]
-            found["grid"] = {
-                "instants": time.size,
-                "period": float(arrays[f"{prefix}period"]),
-                "points": z.size,
-                "z": [float(z[0]), float(z[-1])],
-            }
+            names = "time", "z", "period"
+            found["grid"] = _grid(*(arrays[f"{prefix}{name}"] for name in names))
         if "uncertainty_members" in arrays:
             found["uncertainty"] = "fits that left out parts of the training cases"
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise FileError(f"{path} is not a whole {found['kind']}: {error}.") from error
     return found
+
+
+def _grid(time: Array, z: Array, period: Array | float) -> dict[str, Any]:
+    ends = [float(z[0]), float(z[-1])]
+    return {"instants": time.size, "period": float(period), "points": z.size, "z": ends}
+
+
+def _data_set(cases: Cases) -> dict[str, Any]:
+    return {
+        "kind": "data set",
+        "grid": _grid(cases.time, cases.z, cases.period),
+        "cases": len(cases),
+        "fingerprint": cases.fingerprint(),
+        "labels": {
+            str(name): column.drop_duplicates().tolist() for name, column in cases.labels.items()
+        },
+    }
 
 
 def nearest_preset(config: PCNDEConfig | ClosureConfig) -> tuple[str, dict[str, Any]]:
@@ -113,12 +136,10 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return what :func:`describe` found as lines of a table for people."""
-    facts = found["provenance"]
-    changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
-    rows = [
-        ("kind", found["kind"]),
-        ("preset", found["preset"] + (f", but {changes}" if changes else "")),
-    ]
+    rows = [("kind", found["kind"])]
+    if "preset" in found:
+        changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
+        rows.append(("preset", found["preset"] + (f", but {changes}" if changes else "")))
     if "units" in found:
         rows.append(("finished", f"{found['finished']} of {found['units']} units of work"))
     if "members" in found:
@@ -127,6 +148,12 @@ def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         grid = found["grid"]
         text = f"{grid['instants']} instants of {grid['period']:g} s, {grid['points']} points"
         rows.append(("grid", f"{text}, z = {grid['z'][0]:g} … {grid['z'][1]:g} cm"))
+    if "labels" in found:
+        rows.append(("cases", f"{found['cases']}, fingerprint {found['fingerprint'][:16]}…"))
+        for name, values in found["labels"].items():
+            rows.append((name, listed(values)))
+        return rows
+    facts = found["provenance"]
     rows.append(("uncertainty", found.get("uncertainty", "none")))
     if "cases" in facts:
         rows.append(("cases", f"{facts['cases']}, fingerprint {facts['cases_fingerprint'][:16]}…"))

@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.checkpoints import State
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters
 from pcnde_bridge.closures.training import ClosureTrainer
 from pcnde_bridge.closures.uncertainty import Uncertainty
@@ -21,10 +22,10 @@ from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.engines.base import Engine, Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.grid import Grid
-from pcnde_bridge.history import Iteration
+from pcnde_bridge.history import Iteration, OnRecord
 from pcnde_bridge.parameters import STAGES, Parameters
 from pcnde_bridge.progress import listening
-from pcnde_bridge.training import Trainer, TrainingState
+from pcnde_bridge.training import Trainer
 
 Array = npt.NDArray[np.float64]
 Config = PCNDEConfig | ClosureConfig
@@ -46,26 +47,37 @@ def train(
     engine: Engine,
     seed: int,
     checkpoint: str | os.PathLike[str] | None,
-    progress: bool | Callable[[Iteration], None],
+    progress: bool | OnRecord,
 ) -> Trained:
     """Train from the start or from the checkpoint; see :meth:`PCNDE.fit`."""
-    trainer: Any
     if isinstance(config, ClosureConfig):
-        trainer = ClosureTrainer(cases, config, engine, checkpoint)
-    else:
-        trainer = Trainer(cases, config, engine, checkpoint)
+        closures = ClosureTrainer(cases, config, engine, checkpoint)
+        end = _run(closures, seed, progress)
+        parameters, facts = end.parameters, {"seconds": end.seconds}
+        return Trained(closures.config, parameters, end.uncertainty, end.history, facts)
+    state = _run(Trainer(cases, config, engine, checkpoint), seed, progress)
+    batches = [[int(i) for i in batch] for batch in state.batches]
+    of_run = {"seconds": state.seconds, "batches": batches}
+    return Trained(config, state.parameters, None, state.history, of_run)
+
+
+class _Trainer(Protocol[State]):
+    on_record: OnRecord | None
+
+    def start(self, seed: int) -> State: ...
+    def total(self, state: State, /) -> int: ...
+    def run(self, state: State) -> State: ...
+
+
+def _run(trainer: _Trainer[State], seed: int, progress: bool | OnRecord) -> State:
+    """Run to the end from the start or from the checkpoint."""
     state = trainer.start(seed)
     # Sums of several threads depend on their number, which worker processes may limit;
     # these matrices are too small for threads to gain anything.
     heard = listening(progress, trainer.total(state), len(state.history))
     with threadpool_limits(1, user_api="blas"), heard as on_record:
         trainer.on_record = on_record
-        state = trainer.run(state)
-    facts: dict[str, Any] = {"seconds": state.seconds}
-    if isinstance(state, TrainingState):
-        facts["batches"] = [[int(i) for i in batch] for batch in state.batches]
-        return Trained(config, state.parameters, None, state.history, facts)
-    return Trained(trainer.config, state.parameters, state.uncertainty, state.history, facts)
+        return trainer.run(state)
 
 
 def config_from(settings: Any) -> Config:

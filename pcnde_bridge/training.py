@@ -12,16 +12,16 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge import all_at_once
+from pcnde_bridge import all_at_once, batches
 from pcnde_bridge import history as histories
+from pcnde_bridge.algorithm import Algorithm, Unit
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.checkpoints import Checkpoint, tell_of_other_engine
+from pcnde_bridge.checkpoints import Checkpoint, RunState
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.base import (
     Engine,
@@ -31,27 +31,20 @@ from pcnde_bridge.engines.base import (
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
 from pcnde_bridge.inference import initial_area, solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, Parameters, initial_parameters
-from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-checkpoint", 1
 
-
-class Unit(NamedTuple):
-    """A unit of work: ``"flow"``, ``"coupling"`` or a pressure stage."""
-
-    work: str
-    epoch: int
-    batch: int
+_ALGORITHMS: dict[str, Algorithm] = {"batches": batches, "all_at_once": all_at_once}
 
 
 @dataclass(frozen=True)
-class TrainingState:
+class TrainingState(RunState):
     """How far a run has come.
 
     Attributes
@@ -86,51 +79,17 @@ class TrainingState:
         is left out, the validation part.
         """
         parameters = initial_parameters(config, cases.n_times, cases.n_points, seed)
-        if config.training == "all_at_once":
-            return cls(seed, all_at_once.parts(cases, config.all_at_once, seed), parameters)
-        order = np.random.default_rng(seed).permutation(cases.n_cases)
-        batches = tuple(
-            order[i : i + config.batch_size] for i in range(0, cases.n_cases, config.batch_size)
-        )
-        return cls(seed, batches, parameters)
-
-    @property
-    def seconds(self) -> float:
-        """Time spent in the finished units."""
-        return self.history[-1].seconds if self.history else 0.0
+        return cls(seed, _ALGORITHMS[config.training].divide(cases, config, seed), parameters)
 
 
 def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
     """All units of a run, in order."""
-    if config.training == "all_at_once":
-        rounds = range(1, config.all_at_once.rounds + 1)
-        units = [Unit(work, r, 1) for r in rounds for work in ("flow", "coupling")]
-        # As the flow: with the validation part kept apart, then on all cases.
-        units += [Unit("temporal_pressure", r, 1) for r in range(1, n_batches + 1)]
-        return [*units, Unit("spatial_pressure", 1, 1)]
-    units = []
-    for epoch in range(1, config.flow.epochs + 1):
-        units += [Unit("flow", epoch, batch) for batch in range(1, n_batches + 1)]
-        if epoch % config.flow.couple_every == 0:
-            units.append(Unit("coupling", epoch, 1))
-    return [*units, Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
+    return _ALGORITHMS[config.training].plan(config, n_batches)
 
 
 def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all stages, if no fit ends early."""
-    if config.training == "all_at_once":
-        fast = config.all_at_once
-        fits = fast.starts if config.flow.terms else 1  # of the equation in the first round
-        flow_iterations = (fast.starts + fast.rounds - 1) * fast.known_flow_iterations
-        flow_iterations += fits * fast.iterations + (fast.rounds - 1) * fast.later_iterations
-        return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
-    flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every
-    area = config.intermediate_area.iterations + config.fourier_area.iterations
-    return (
-        n_batches * (flow.epochs * flow.iterations + couplings * area)
-        + config.temporal_pressure.iterations
-        + config.spatial_pressure.iterations
-    )
+    return _ALGORITHMS[config.training].count_iterations(config, n_batches)
 
 
 def check(cases: Cases, config: PCNDEConfig) -> None:
@@ -195,7 +154,7 @@ class Trainer:
         self._grid = cases.grid
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
+            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION, cases, config, engine)
         self.on_record = on_record
 
     def total(self, state: TrainingState) -> int:
@@ -219,15 +178,10 @@ class Trainer:
         size = sum(vector.size for _, vector in first.parameters)
         # A disk that is full or cannot be written is found now, not after the first epoch.
         self._checkpoint.check((1 + couplings) * size + 6 * self.total(first))
-        state = self._checkpoint.read(self._read)
+        state = self._checkpoint.read(seed, _state)
         if state is None:
             self._save(first)
             return first
-        if state.seed != seed:
-            raise InputError(
-                f"{self._checkpoint.path} belongs to a run with seed {state.seed}, not {seed}. "
-                "Give that seed, or another checkpoint file."
-            )
         return state
 
     def run(self, state: TrainingState, until: int | None = None) -> TrainingState:
@@ -246,15 +200,10 @@ class Trainer:
         try:
             for unit in units[state.finished : until]:
                 record = Recorder(began, self.on_record)
-                parameters, couplings = state.parameters, state.couplings
-                if unit.work == "flow":
-                    parameters = self._fit_flow(state, unit, area, record)
-                elif unit.work == "coupling":
-                    parameters = self._fit_area(state, unit, area, record)
+                parameters, couplings = self._fit(unit, state, area, record), state.couplings
+                if unit.work == "coupling":
                     area = self._next_area(parameters, area)
                     couplings = (*couplings, parameters)
-                else:
-                    parameters = self._fit_pressure(state, unit, record)
                 state = replace(
                     state,
                     parameters=parameters,
@@ -262,163 +211,46 @@ class Trainer:
                     finished=state.finished + 1,
                     history=(*state.history, *record.iterations),
                 )
-                if unit.work != "flow" or self._ends_epoch(unit, state):
+                following = units[state.finished :][:1]
+                if not following or following[0][:2] != unit[:2]:  # no more of this epoch
                     self._save(state)
         except KeyboardInterrupt:
             self._save(state)
             raise
         return state
 
-    def _ends_epoch(self, unit: Unit, state: TrainingState) -> bool:
-        return self._config.training == "all_at_once" or unit.batch == len(state.batches)
+    def _fit(self, unit: Unit, state: TrainingState, area: Array, record: Recorder) -> Parameters:
+        """Parameters after a unit; the area is what the flow network sees."""
+        cases, config, engine, grid = self._cases, self._config, self._engine, self._grid
+        parameters, s_u = state.parameters, cases.area_undeformed
 
-    def _fit_flow(
-        self, state: TrainingState, unit: Unit, area: Array, record: Recorder
-    ) -> Parameters:
-        if self._config.training == "all_at_once":
-            settings, first = self._config.all_at_once, unit.epoch == 1
-            starts = [state.parameters.flow]
-            if first:
-                starts += self._other_starts(state.seed)
-            vector = all_at_once.fit_flow(
-                starts,
-                self._cases,
-                area,
-                self._selection(state, unit),
-                self._engine,
-                self._config,
-                settings.iterations if first else settings.later_iterations,
-                lambda number: record("flow", unit.epoch, number),
-            )
-            return state.parameters.replace(flow=vector)
-        batch = state.batches[unit.batch - 1]
-        fit = self._engine.flow.fit(
-            state.parameters.flow,
-            FlowInputs(self._cases.flow[batch, :, 0], area[batch]),
-            self._cases.flow[batch],
-            self._grid,
-            self._config,
-            self._config.flow.iterations,
-            record("flow", unit.epoch, unit.batch),
-        )
-        return state.parameters.replace(flow=fit.parameters)
+        def fit(stage: str, inputs: Any, target: Array) -> Array:
+            algorithm = _ALGORITHMS[config.training]
+            return algorithm.fit(stage, unit, state, inputs, target, cases, engine, config, record)
 
-    def _other_starts(self, seed: int) -> list[Array]:
-        """Flow networks before training, beside that of the first state."""
-        config, grid = self._config, (self._cases.n_times, self._cases.n_points)
-        return [
-            initial_parameters(config, *grid, seed, number).flow
-            for number in range(1, config.all_at_once.starts)
-        ]
-
-    def _fit_area(
-        self, state: TrainingState, unit: Unit, area: Array, record: Recorder
-    ) -> Parameters:
-        """Both area stages, on the flow that the network gives with the area it knows."""
-        cases, config, engine = self._cases, self._config, self._engine
-        parameters = state.parameters
-        flow = engine.flow.solve(
-            parameters.flow, FlowInputs(cases.inflow, area), self._grid, config
-        )
-        if config.training == "all_at_once":
-            intermediate, fourier = all_at_once.fit_area(
-                flow, cases, engine, config, lambda stage: record(stage, unit.epoch, 1)
-            )
+        if unit.work == "flow":
+            vector = fit("flow", FlowInputs(cases.inflow, area), cases.flow)
+            return parameters.replace(flow=vector)
+        if unit.work == "coupling":
+            # Both area stages, on the flow that the network gives with the area it knows.
+            flow = engine.flow.solve(parameters.flow, FlowInputs(cases.inflow, area), grid, config)
+            inputs = IntermediateAreaInputs(flow, s_u)
+            intermediate = fit("intermediate_area", inputs, cases.area)
+            whole = engine.intermediate_area.solve(intermediate, inputs, grid, config)
+            start = initial_area(whole, cases.n_times, config)
+            fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
             return parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
-        vector = parameters.intermediate_area
-        for number, batch in enumerate(state.batches, 1):
-            vector = engine.intermediate_area.fit(
-                vector,
-                IntermediateAreaInputs(flow[batch], cases.area_undeformed[batch]),
-                cases.area[batch],
-                self._grid,
-                config,
-                config.intermediate_area.iterations,
-                record("intermediate_area", unit.epoch, number),
-            ).parameters
-        parameters = parameters.replace(intermediate_area=vector)
-        intermediate = engine.intermediate_area.solve(
-            vector, IntermediateAreaInputs(flow, cases.area_undeformed), self._grid, config
-        )
-        start = initial_area(intermediate, cases.n_times, config)
-        first = np.concatenate([np.ones(cases.n_points), np.zeros(cases.n_points)])
-        vector = parameters.fourier_area
-        for number, batch in enumerate(state.batches, 1):
-            vector = engine.fourier_area.fit(
-                first if config.fourier_area.restart else vector,
-                FourierAreaInputs(flow[batch], start[batch]),
-                cases.area[batch],
-                self._grid,
-                config,
-                config.fourier_area.iterations,
-                record("fourier_area", unit.epoch, number),
-            ).parameters
-        return parameters.replace(fourier_area=vector)
-
-    def _fit_pressure(self, state: TrainingState, unit: Unit, record: Recorder) -> Parameters:
-        cases, config, engine, parameters = (
-            self._cases,
-            self._config,
-            self._engine,
-            state.parameters,
-        )
         target = cases.pressure / config.physics.reference_pressure
-        solved = engine.predict(
-            parameters.without_pressure(), cases.inflow, cases.area_undeformed, self._grid, config
-        )
-        inputs = TemporalPressureInputs(solved.flow, solved.area, cases.area_undeformed)
-        linear = config.training == "all_at_once"
-        if unit.work == "temporal_pressure" and linear:
-            vector = all_at_once.fit_temporal_pressure(
-                parameters.temporal_pressure,
-                inputs,
-                target,
-                self._selection(state, unit),
-                engine,
-                config,
-                record(unit.work, unit.epoch, 1),
-            )
-            return parameters.replace(temporal_pressure=vector)
+        solved = engine.predict(parameters.without_pressure(), cases.inflow, s_u, grid, config)
+        temporal_inputs = TemporalPressureInputs(solved.flow, solved.area, s_u)
         if unit.work == "temporal_pressure":
-            fit = engine.temporal_pressure.fit(
-                parameters.temporal_pressure,
-                inputs,
-                target,
-                self._grid,
-                config,
-                config.temporal_pressure.iterations,
-                record(unit.work, 1, 1),
-            )
-            return parameters.replace(temporal_pressure=fit.parameters)
+            vector = fit(unit.work, temporal_inputs, target)
+            return parameters.replace(temporal_pressure=vector)
         temporal = engine.temporal_pressure.solve(
-            parameters.temporal_pressure, inputs, self._grid, config
+            parameters.temporal_pressure, temporal_inputs, grid, config
         )
-        spatial_inputs = SpatialPressureInputs(temporal, solved.flow, cases.area_undeformed)
-        if linear:
-            vector = all_at_once.fit_spatial_pressure(
-                parameters.spatial_pressure,
-                spatial_inputs,
-                target,
-                engine,
-                self._grid,
-                config,
-                record(unit.work, 1, 1),
-            )
-            return parameters.replace(spatial_pressure=vector)
-        fit = engine.spatial_pressure.fit(
-            parameters.spatial_pressure,
-            spatial_inputs,
-            target,
-            self._grid,
-            config,
-            config.spatial_pressure.iterations,
-            record(unit.work, 1, 1),
-        )
-        return parameters.replace(spatial_pressure=fit.parameters)
-
-    def _selection(self, state: TrainingState, unit: Unit) -> tuple[Any, ...]:
-        """Training and validation part in the first round, afterwards all cases."""
-        return state.batches if unit.epoch == 1 else (np.arange(len(self._cases)),)
+        vector = fit(unit.work, SpatialPressureInputs(temporal, solved.flow, s_u), target)
+        return parameters.replace(spatial_pressure=vector)
 
     def coupled_area(self, state: TrainingState) -> Array:
         """Area (case, time, z) that the flow network sees, computed from the couplings so far."""
@@ -439,14 +271,10 @@ class Trainer:
         if self._checkpoint is None:
             return
         facts = {
-            "seed": state.seed,
             "finished": state.finished,
             "couplings": len(state.couplings),
-            "config": self._config.to_dict(),
-            "cases": self._cases.fingerprint(),
             "batch_sizes": [len(batch) for batch in state.batches],
             "units": len(plan(self._config, len(state.batches))),
-            "provenance": provenance(self._cases, self._engine, state.seed),
         }
         arrays: dict[str, npt.NDArray[Any]] = {
             "batches": np.concatenate(state.batches),
@@ -455,40 +283,20 @@ class Trainer:
         }
         for number, coupling in enumerate(state.couplings):
             arrays |= {f"coupling_{number}_{stage}": vector for stage, vector in coupling}
-        self._checkpoint.write(facts, arrays)
-
-    def _read(
-        self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
-    ) -> TrainingState:
-        try:
-            before = facts["provenance"]["engine"]
-            same_cases = facts["cases"] == self._cases.fingerprint()
-            same_config = PCNDEConfig.from_dict(facts["config"]) == self._config
-            state = TrainingState(
-                seed=facts["seed"],
-                batches=tuple(np.split(arrays["batches"], np.cumsum(facts["batch_sizes"])[:-1])),
-                parameters=_stage_vectors(arrays, ""),
-                couplings=tuple(
-                    _stage_vectors(arrays, f"coupling_{n}_") for n in range(facts["couplings"])
-                ),
-                finished=facts["finished"],
-                history=tuple(histories.from_array(arrays["history"])),
-            )
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise FileError(f"{path} is not a whole checkpoint: {error!r}.") from error
-        if not same_cases:
-            raise InputError(
-                f"{path} belongs to a run on other cases. Give the same cases, or another "
-                "checkpoint file."
-            )
-        if not same_config:
-            raise InputError(
-                f"{path} belongs to a run with another configuration. Give the same one, or "
-                "another checkpoint file."
-            )
-        tell_of_other_engine(path, before, self._engine.name)
-        return state
+        self._checkpoint.write(state.seed, facts, arrays)
 
 
-def _stage_vectors(arrays: Mapping[str, npt.NDArray[Any]], prefix: str) -> Parameters:
-    return Parameters(**{stage: arrays[prefix + stage] for stage in STAGES})
+def _state(facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> TrainingState:
+    """Inverse of what is saved."""
+
+    def parameters(prefix: str) -> Parameters:
+        return Parameters(**{stage: arrays[prefix + stage] for stage in STAGES})
+
+    return TrainingState(
+        seed=facts["seed"],
+        batches=tuple(np.split(arrays["batches"], np.cumsum(facts["batch_sizes"])[:-1])),
+        parameters=parameters(""),
+        couplings=tuple(parameters(f"coupling_{n}_") for n in range(facts["couplings"])),
+        finished=facts["finished"],
+        history=tuple(histories.from_array(arrays["history"])),
+    )

@@ -4,34 +4,54 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import shutil
 import subprocess
 from collections import namedtuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, FileError, files
+from pcnde_bridge import PCNDE, FileError, InputError, PCNDEConfig, files
 from pcnde_bridge.archive import read_archive
 from pcnde_bridge.checkpoints import Checkpoint, previous, remove
 from pcnde_bridge.training import Trainer
 
 
-def number(path, facts, arrays):
+def number(facts, arrays):
     return facts["number"], arrays["a"].tolist()
 
 
+def read(checkpoint):
+    return checkpoint.read(5, number)
+
+
+def write(checkpoint, n):
+    checkpoint.write(5, {"number": n}, {"a": np.full(100, n)})
+
+
 @pytest.fixture
-def checkpoint(tmp_path):
-    checkpoint = Checkpoint(tmp_path / "run", "test", 1)
+def new(small_cases, toy_config, toy_engine):
+    """Make a checkpoint of a run on the small cases, or of another."""
+
+    def new(path, cases=small_cases, config=toy_config, engine=toy_engine):
+        return Checkpoint(path, "test", 1, cases, config, engine)
+
+    return new
+
+
+@pytest.fixture
+def checkpoint(new, tmp_path):
+    checkpoint = new(tmp_path / "run")
     for n in (1, 2, 3):
-        checkpoint.write({"number": n}, {"a": np.full(100, n)})
+        write(checkpoint, n)
     return checkpoint
 
 
 def test_the_newest_two_are_kept(checkpoint, tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {"run", "run.previous"}
-    assert checkpoint.read(number) == (3, [3] * 100)
+    assert read(checkpoint) == (3, [3] * 100)
     kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
     assert kept[0]["number"] == 2
 
@@ -43,13 +63,13 @@ def test_a_damaged_newest_falls_back_and_says_so(checkpoint, tmp_path, caplog, d
     content = {"half": whole[: len(whole) // 2], "empty": b"", "bit": whole, "foreign": b"hello"}
     checkpoint.path.write_bytes(bytes(content[damage]))
     with caplog.at_level(logging.WARNING, "pcnde_bridge"):
-        assert checkpoint.read(number) == (2, [2] * 100)
+        assert read(checkpoint) == (2, [2] * 100)
     (message,) = caplog.messages
     assert str(checkpoint.path) in message
     assert f"Continuing from the checkpoint before it, {previous(checkpoint.path)}" in message
     # The good one is not overwritten with the damaged one.
-    checkpoint.write({"number": 4}, {"a": np.full(100, 4)})
-    assert checkpoint.read(number) == (4, [4] * 100)
+    write(checkpoint, 4)
+    assert read(checkpoint) == (4, [4] * 100)
     kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
     assert kept[0]["number"] == 2
 
@@ -58,13 +78,13 @@ def test_both_damaged_is_an_error_about_the_newest(checkpoint):
     for path in (checkpoint.path, previous(checkpoint.path)):
         path.write_bytes(b"")
     with pytest.raises(FileError, match=r"run is not a pcnde_bridge checkpoint"):
-        checkpoint.read(number)
+        read(checkpoint)
 
 
 def test_a_run_thrown_away_does_not_come_back(checkpoint, tmp_path):
     checkpoint.path.unlink()
-    assert checkpoint.read(number) is None
-    checkpoint.write({"number": 9}, {"a": np.zeros(1)})
+    assert read(checkpoint) is None
+    write(checkpoint, 9)
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
     remove(checkpoint.path)
     remove(checkpoint.path)
@@ -78,6 +98,28 @@ def test_what_a_killed_process_left_is_removed(checkpoint, tmp_path):
     checkpoint.check(10)
     left = {p.name for p in tmp_path.iterdir()}
     assert left == {"run", "run.previous", ".run.0123abcx"}
+
+
+def test_the_run_is_told_and_another_is_refused(checkpoint, new, small_cases, toy_config, caplog):
+    path = checkpoint.path
+    facts, _ = read_archive(path, "test", 1, "checkpoint")
+    assert (facts["seed"], facts["cases"]) == (5, small_cases.fingerprint())
+    assert PCNDEConfig.from_dict(facts["config"]) == toy_config
+    assert facts["provenance"]["engine"] == "toy"
+    whole = path.read_bytes()
+    other_config, fewer = toy_config.replace(batch_size=4), small_cases.select(slice(0, 11))
+    for other, seed, message in (
+        (new(path, cases=fewer), 5, "on other cases. Give the same cases"),
+        (new(path, config=other_config), 5, "with another configuration. Give the same one"),
+        (new(path), 6, "with seed 5, not 6. Give that seed"),
+    ):
+        expected = f"{path} belongs to a run {message}, or another checkpoint file."
+        with pytest.raises(InputError, match=re.escape(expected)):
+            other.read(seed, number)
+    assert path.read_bytes() == whole
+    assert caplog.text == ""
+    assert new(path, engine=SimpleNamespace(name="other")).read(5, number) == (3, [3] * 100)
+    assert "was written with the toy engine and continues with other" in caplog.text
 
 
 # ---- in training -----------------------------------------------------------------
@@ -152,7 +194,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, small_disk):
+def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, new, small_disk):
     path = small_disk / "run"
     with pytest.raises(KeyboardInterrupt):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=stop_after(25))
@@ -163,10 +205,10 @@ def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, small_disk):
     with pytest.raises(FileError, match="MB are needed"):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=refuse)
     # Full in the middle of a run: what was written stays whole.
-    checkpoint = Checkpoint(path, "pcnde-checkpoint", 1)
+    checkpoint = new(path)
     before = path.read_bytes()
     with pytest.raises(FileError, match="the disk is full"):
-        checkpoint.write({}, {"a": np.zeros(1 << 17)})
+        checkpoint.write(0, {}, {"a": np.zeros(1 << 17)})
     assert path.read_bytes() == before
     full.unlink()
     model = PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError, PCNDEConfig, SolveError
 from pcnde_bridge import all_at_once as fast
+from pcnde_bridge.algorithm import Unit
 from pcnde_bridge.config import FAST, AllAtOnce
 from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import (
@@ -19,13 +21,14 @@ from pcnde_bridge.engines.base import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.engines.jax import JaxEngine
+from pcnde_bridge.held_out import training_and_validation
 from pcnde_bridge.inference import predict_by_stages, undeformed
 from pcnde_bridge.known_flow import KnownFlow
 from pcnde_bridge.lbfgs import Whitening, lbfgs_of_scipy, minimise
 from pcnde_bridge.least_squares import solve_per_point
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.training import Trainer, TrainingState, Unit, count_iterations, plan
+from pcnde_bridge.training import Trainer, TrainingState, count_iterations, plan
 
 LITTLE = FAST.replace(
     coupling_passes=2,
@@ -114,10 +117,12 @@ def test_what_the_columns_do_not_determine_stays_finite():
 def area_gradients(engine, cases, grid, config):
     """Gradients of both area stages at their fit and at a = 1, b = 0, and the fits."""
     inputs = IntermediateAreaInputs(cases.flow, cases.area_undeformed)
-    first, loss = fast.fit_intermediate_area(inputs, cases.area, engine, grid, config)
+    first, loss = fast.fit_area_stage(engine.intermediate_area, inputs, cases.area, grid, config)
     whole = engine.intermediate_area.solve(first, inputs, grid, config)
     fourier = FourierAreaInputs(cases.flow, whole[:, -1])
-    second, fourier_loss = fast.fit_fourier_area(fourier, cases.area, engine, grid, config)
+    second, fourier_loss = fast.fit_area_stage(
+        engine.fourier_area, fourier, cases.area, grid, config
+    )
     start = np.repeat([1.0, 0.0], cases.n_points)
     for stage, arrays, vector, least in (
         (engine.intermediate_area, inputs, first, loss),
@@ -298,35 +303,34 @@ def test_what_converged_before_the_first_look_is_kept(lbfgs):
     assert np.allclose(found, 1, atol=1e-7)
 
 
-# ---- parts -------------------------------------------------------------------
+# ---- validation part ---------------------------------------------------------
 
 
 def test_the_validation_part_is_whole_waveforms_and_geometries(small_cases):
-    settings = AllAtOnce(validation=0.3)
-    fitted, held = fast.parts(small_cases, settings, 0)
+    fitted, held = training_and_validation(small_cases, 0.3, 0)
     assert sorted([*fitted, *held]) == list(range(12))
     assert 4 <= len(held) <= 6
     labels = small_cases.labels
     for case in held:
         alike = [labels[name] == labels[name][case] for name in ("geometry", "waveform")]
         assert any(set(np.flatnonzero(same)) <= set(held) for same in alike)
-    again = fast.parts(small_cases, settings, 0)
+    again = training_and_validation(small_cases, 0.3, 0)
     assert np.array_equal(again[1], held)
-    others = {tuple(fast.parts(small_cases, settings, seed)[1]) for seed in range(10)}
+    others = {tuple(training_and_validation(small_cases, 0.3, seed)[1]) for seed in range(10)}
     assert len(others) > 3
 
 
 def test_without_groups_single_cases_are_drawn(small_cases):
     one_each = small_cases.select(range(9))
     object.__setattr__(one_each, "_labels", one_each.labels.assign(geometry=range(9), waveform=0))
-    fitted, held = fast.parts(one_each, AllAtOnce(validation=0.25), 0)
+    fitted, held = training_and_validation(one_each, 0.25, 0)
     assert (len(fitted), len(held)) == (7, 2)
 
 
 def test_few_cases_spare_none(small_cases):
-    (only,) = fast.parts(small_cases.select(range(7)), AllAtOnce(validation=0.3), 0)
+    (only,) = training_and_validation(small_cases.select(range(7)), 0.3, 0)
     assert np.array_equal(only, range(7))
-    (only,) = fast.parts(small_cases, AllAtOnce(validation=0.0), 0)
+    (only,) = training_and_validation(small_cases, 0.0, 0)
     assert np.array_equal(only, range(12))
 
 
@@ -397,10 +401,26 @@ def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
 
 def test_the_batches_of_a_state_are_its_parts(small_cases):
     state = TrainingState.start(small_cases, LITTLE, 5)
-    for mine, expected in zip(
-        state.batches, fast.parts(small_cases, LITTLE.all_at_once, 5), strict=True
-    ):
-        assert np.array_equal(mine, expected)
+    expected = training_and_validation(small_cases, LITTLE.all_at_once.validation, 5)
+    assert all(map(np.array_equal, state.batches, expected))
+    assert len(state.batches) == len(expected)
+
+
+def test_the_first_round_alone_spares_the_validation_part(small_cases, toy_engine, monkeypatch):
+    seen = []
+
+    def spy(name, fit, *arguments):
+        seen.append((name, arguments[3]))
+        return fit(*arguments)
+
+    for name in ("fit_flow", "fit_temporal_pressure"):
+        monkeypatch.setattr(fast, name, partial(spy, name, getattr(fast, name)))
+    batches, everything = train(small_cases, toy_engine).batches, (np.arange(12),)
+    expected = [batches, everything] * 2
+    assert [name for name, _ in seen] == ["fit_flow"] * 2 + ["fit_temporal_pressure"] * 2
+    for (_, found), parts in zip(seen, expected, strict=True):
+        assert len(found) == len(parts)
+        assert all(map(np.array_equal, found, parts))
 
 
 # ---- equal steps, and a whole fit with JAX -----------------------------------
@@ -449,7 +469,7 @@ def test_a_whole_fit(engine, small_cases, grid, tmp_path):
 
 def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everything):
     """The held cases' targets decide when to stop, and nothing else."""
-    parts = fast.parts(small_cases, AllAtOnce(validation=0.3), 0)
+    parts = training_and_validation(small_cases, 0.3, 0)
     area = undeformed(small_cases.area_undeformed, 20)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
 
@@ -478,7 +498,7 @@ def test_the_best_of_several_starts_goes_on(
     engine, small_cases, grid, validation, terms, monkeypatch
 ):
     config = LITTLE.replace(flow={"terms": terms})
-    parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
+    parts = training_and_validation(small_cases, validation, 0)
     area = undeformed(small_cases.area_undeformed, 20)
     starts = [initial_parameters(config, 20, 21, 0, start).flow for start in range(3)]
     assert not np.array_equal(starts[0], starts[1])
@@ -574,7 +594,7 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
 @pytest.mark.parametrize("validation", [0.0, 0.3])
 def test_starts_whose_equation_diverges_are_left(engine, small_cases, validation, monkeypatch):
     """The first start is fitted through the equation then."""
-    parts = fast.parts(small_cases, AllAtOnce(validation=validation), 0)
+    parts = training_and_validation(small_cases, validation, 0)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
     area = undeformed(small_cases.area_undeformed, 20)
     monkeypatch.setattr(KnownFlow, "fit", lambda *_: np.full_like(start, 1e6))
@@ -600,9 +620,11 @@ def elastic_cases():
     return Cases(flow, area, 1e5 * flow, s_u, t, z, period=1.0)
 
 
-def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases):
+@pytest.mark.parametrize(("anchor", "cycles"), [("last_instant", 3), ("last_cycle", 2)])
+def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycles):
     cases, chosen = elastic_cases, np.arange(4)
-    balanced = fast.balanced_flow(cases, chosen, LITTLE)
+    config = LITTLE.replace(fourier_area={"anchor": anchor})
+    balanced = fast.balanced_flow(cases, chosen, config)
     assert np.allclose(balanced[:, :, 0], cases.flow[:, :, 0], rtol=1e-12)
     change = balanced - cases.flow
     assert np.allclose(change, change.mean(axis=1, keepdims=True), atol=1e-12)
@@ -610,9 +632,9 @@ def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases):
     start = cases.area[:, 0] - cases.area_undeformed
     start = start - start.mean(axis=0)
     asked = -(start[:, 1:] + start[:, :-1]) / 2
-    a_hat = asked / (3 * slope)  # three cycles of one second
+    a_hat = asked / (cycles * slope)  # of one second
     assert np.allclose(a_hat, 0.5, rtol=0.01)  # ∂V/∂t by differences
-    few = fast.balanced_flow(cases, chosen[:2], LITTLE)
+    few = fast.balanced_flow(cases, chosen[:2], config)
     assert not np.allclose(few, balanced)
 
 

@@ -23,9 +23,9 @@ from pcnde_bridge import (
     sweep,
 )
 from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.cross_validation import parts
-from pcnde_bridge.ensemble import Calibration
+from pcnde_bridge.calibration import Calibration
 from pcnde_bridge.fits import FitTask, fit_model, model_of
+from pcnde_bridge.held_out import each_waveform_and_geometry
 from pcnde_bridge.info import describe, lines
 from pcnde_bridge.metrics import coverage, pooled_errors
 from pcnde_bridge.tasks import processes, run
@@ -106,6 +106,12 @@ def test_where_members_agree_the_samples_still_have_the_deviation(small_cases, c
         np.testing.assert_allclose(
             prediction.samples[name].mean(axis=0), prediction.variables()[name], rtol=1e-9
         )
+
+
+def test_members_have_one_grid(small_cases, other_period, config, engine, ensemble):
+    members = [PCNDE.fit(c, config, engine, progress=False) for c in (small_cases, other_period)]
+    with pytest.raises(InputError, match="trained on different grids"):
+        Ensemble(members, ensemble.calibration)
 
 
 def test_intervals_are_calibrated_on_cases_left_out(small_cases, config, engine, ensemble):
@@ -237,13 +243,13 @@ def test_arguments_of_an_ensemble(small_cases, config, engine):
 
 
 def test_parts_are_whole_waveforms_and_geometries(small_cases):
-    found = parts(small_cases)
+    found = each_waveform_and_geometry(small_cases)
     assert list(found) == [("waveform", k) for k in range(4)] + [("geometry", k) for k in (1, 2, 3)]
     for (label, value), positions in found.items():
         chosen = small_cases.labels[label] == value
         assert positions.tolist() == np.flatnonzero(chosen).tolist()
     with pytest.raises(InputError, match="nothing can be held out"):
-        parts(small_cases.select([0]))
+        each_waveform_and_geometry(small_cases.select([0]))
 
 
 def test_cross_validation(small_cases, config, engine, tmp_path):
@@ -352,6 +358,20 @@ def test_info_on_the_command_line(ensemble, tmp_path, run_pcnde):
     code, _, err = run_pcnde("info", path)
     assert code == 2
     assert "not a pcnde_bridge model but a 'something' file" in err
+
+
+@pytest.mark.parametrize("name", ["cases.npz", "cases.h5"])
+def test_info_of_a_data_set(small_cases, tmp_path, run_pcnde, name):
+    small_cases.save(tmp_path / name)
+    code, printed, _ = run_pcnde("info", tmp_path / name)
+    assert code == 0
+    assert "data set" in printed
+    assert small_cases.fingerprint()[:16] in printed
+    assert dict(lines(describe(tmp_path / name)))["waveform"] == "0, 1, 2, 3"
+    (tmp_path / name).write_bytes(b"PK")
+    code, _, err = run_pcnde("info", tmp_path / name)
+    assert code == 2
+    assert "truncated" in err
 
 
 @pytest.fixture

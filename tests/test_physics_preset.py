@@ -23,11 +23,12 @@ from test_closures import (
 from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.closures.training import ClosureTrainer
-from pcnde_bridge.closures.uncertainty import draw, parts
+from pcnde_bridge.closures.uncertainty import draw
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.held_out import neighbouring_parts
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import initial_parameters
 
@@ -176,7 +177,7 @@ def test_cases_that_do_not_vary_are_refused():
 
 
 def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
-    left_out = parts(cases, 2)
+    left_out = neighbouring_parts(cases, 2)
     labels = cases.labels[["geometry", "waveform"]]
     taken = [set(labels.iloc[part].itertuples(index=False, name=None)) for part in left_out]
     # Geometries are in order of their narrowness, waveforms in that of their oscillation.
@@ -184,8 +185,8 @@ def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
         {(g, w) for g in range(1, 5) for w in pair} for pair in ((0, 1), (2, 3))
     ]
     few = cases.select(geometry=1)
-    assert sorted(np.concatenate(parts(few, 2))) == [0, 1, 2, 3]
-    scattered = parts(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
+    assert sorted(np.concatenate(neighbouring_parts(few, 2))) == [0, 1, 2, 3]
+    scattered = neighbouring_parts(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
     assert [list(part) for part in scattered] == [[0, 2], [1]]
 
 

@@ -325,7 +325,7 @@ def formulations(small_cases):
 def test_formulations_side_by_side(formulations, small_cases):
     frame = formulations.to_frame().set_index(["formulation", "set"])
     assert len(frame) == 4 * 2
-    truth = frame.loc[("3D", "train")]
+    truth = frame.loc[("truth", "train")]
     assert truth["flow_error"] == truth["slope_error"] == 0
     assert truth["slope_variation"] == 1
     spatial = formulations.results["spatial", "train"]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import PAPER, PCNDE, InputError
+from pcnde_bridge.algorithm import Unit
 from pcnde_bridge.checkpoints import previous
 from pcnde_bridge.engines.base import FlowInputs
 from pcnde_bridge.errors import FileError
@@ -21,7 +22,7 @@ from pcnde_bridge.grid import Grid
 from pcnde_bridge.history import Iteration, from_array, to_array, to_frame
 from pcnde_bridge.inference import solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, initial_parameters
-from pcnde_bridge.training import Trainer, TrainingState, Unit, check, count_iterations, plan
+from pcnde_bridge.training import Trainer, TrainingState, check, count_iterations, plan
 
 
 def without_seconds(history):

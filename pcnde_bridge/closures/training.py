@@ -6,7 +6,6 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,16 @@ import numpy.typing as npt
 
 from pcnde_bridge import history as histories
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.checkpoints import Checkpoint, tell_of_other_engine
+from pcnde_bridge.checkpoints import Checkpoint, RunState
 from pcnde_bridge.closures import fit
 from pcnde_bridge.closures.parameters import CLOSURES, ClosureParameters, sizes
-from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, parts
+from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.base import Engine, OnIteration
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.grid import check_resolution
+from pcnde_bridge.held_out import neighbouring_parts
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
-from pcnde_bridge.provenance import provenance
 
 Array = npt.NDArray[np.float64]
 
@@ -34,7 +33,7 @@ _STILL = 0.01
 
 
 @dataclass(frozen=True)
-class ClosureState:
+class ClosureState(RunState):
     """How far a run has come.
 
     Attributes
@@ -53,11 +52,6 @@ class ClosureState:
     vectors: dict[str, Array]
     history: tuple[Iteration, ...] = field(default=(), repr=False)
     uncertainty: Uncertainty | None = None
-
-    @property
-    def seconds(self) -> float:
-        """Time spent in the finished units."""
-        return self.history[-1].seconds if self.history else 0.0
 
     @property
     def parameters(self) -> ClosureParameters:
@@ -113,9 +107,11 @@ class ClosureTrainer:
         self._engine, self._closures = engine, engine.closures
         self._checkpoint = None
         if checkpoint is not None:
-            self._checkpoint = Checkpoint(checkpoint, FORMAT, FORMAT_VERSION)
+            self._checkpoint = Checkpoint(
+                checkpoint, FORMAT, FORMAT_VERSION, cases, self.config, engine
+            )
         folds = config.correction.folds
-        self._left_out = parts(cases, folds) if folds else []
+        self._left_out = neighbouring_parts(cases, folds) if folds else []
 
     def total(self, _: ClosureState) -> int:
         """Count the iterations of a run at most."""
@@ -142,15 +138,10 @@ class ClosureTrainer:
         lengths = sizes(self.config)
         size = sum(lengths.values()) + len(self._left_out) * lengths["correction"]
         self._checkpoint.check(size + 6 * self.total(first))
-        state = self._checkpoint.read(self._read)
+        state = self._checkpoint.read(seed, self._state)
         if state is None:
             self._save(first)
             return first
-        if state.seed != seed:
-            raise InputError(
-                f"{self._checkpoint.path} belongs to a run with seed {state.seed}, not {seed}. "
-                "Give the same, or another checkpoint file."
-            )
         return state
 
     def run(self, state: ClosureState) -> ClosureState:
@@ -225,53 +216,27 @@ class ClosureTrainer:
         if self._checkpoint is None:
             return
         facts = {
-            "seed": state.seed,
-            "config": self.config.to_dict(),
-            "cases": self._cases.fingerprint(),
             "vectors": list(state.vectors),
             "units": len(CLOSURES) + len(self._left_out),
-            "provenance": provenance(self._cases, self._engine, state.seed),
         }
         arrays: dict[str, npt.NDArray[Any]] = {
             "history": histories.to_array(state.history),
             **state.vectors,
         }
-        self._checkpoint.write(facts, arrays)
+        self._checkpoint.write(state.seed, facts, arrays)
 
-    def _read(
-        self, path: Path, facts: dict[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
+    def _state(
+        self, facts: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
     ) -> ClosureState:
-        try:
-            before = facts["provenance"]["engine"]
-            history = tuple(histories.from_array(arrays["history"]))
-            state = ClosureState(
-                facts["seed"], {name: arrays[name] for name in facts["vectors"]}, history
-            )
-            same_cases = facts["cases"] == self._cases.fingerprint()
-            same_config = ClosureConfig.from_dict(facts["config"]) == self.config
-            if same_config:
-                _check_vectors(state.vectors, self.config)
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise FileError(f"{path} is not a whole checkpoint: {error!r}.") from error
-        for same, what in (
-            (same_cases, "on other cases"),
-            (same_config, "with another configuration"),
-        ):
-            if not same:
-                raise InputError(
-                    f"{path} belongs to a run {what}. Give the same, or another checkpoint file."
-                )
-        tell_of_other_engine(path, before, self._engine.name)
-        return state
-
-
-def _check_vectors(vectors: dict[str, Array], config: ClosureConfig) -> None:
-    """Raise ValueError for a vector that is not finite or has another length."""
-    lengths = sizes(config)
-    for name, vector in vectors.items():
-        needed = lengths["correction" if name.startswith("member_") else name]
-        if vector.shape != (needed,) or not np.isfinite(vector).all():
-            raise ValueError(f"{name} must be {needed} finite numbers, has shape {vector.shape}")
+        """Inverse of what is saved; raises ValueError for vectors that do not fit."""
+        lengths = sizes(self.config)
+        vectors = {name: arrays[name] for name in facts["vectors"]}
+        for name, vector in vectors.items():
+            needed = lengths["correction" if name.startswith("member_") else name]
+            if vector.shape != (needed,) or not np.isfinite(vector).all():
+                raise ValueError(f"{name} must be {needed} finite numbers, got {vector.shape}")
+        history = tuple(histories.from_array(arrays["history"]))
+        return ClosureState(facts["seed"], vectors, history)
 
 
 def _decided(cases: Cases, config: ClosureConfig) -> ClosureConfig:

@@ -9,20 +9,19 @@ Three things make a draw of a prediction:
 - a normal multiple of a profile along the vessel, for each variable: what is left where
   the correction does nothing.
 
-The width of the last two is found on the cases that each fit had left out: the profile
-is the 68 % quantile of the errors at each point, the shift the one with the narrowest
-intervals, and all is scaled so that 90 % intervals hold 90 % of the values left out.
+The width of the last two is found on the cases that each fit had left out
+(:mod:`pcnde_bridge.calibration`), with the shift that leads to the narrowest intervals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.calibration import Calibration, shared_error
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.config import ClosureConfig
@@ -30,6 +29,7 @@ from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.engines.closures import Closures
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.grid import Grid
+from pcnde_bridge.held_out import Positions
 from pcnde_bridge.validation import counted
 from pcnde_bridge.variables import VARIABLES
 
@@ -50,10 +50,8 @@ class Uncertainty:
         Parameters of the correction, a row for each fit that left out a part.
     shift : array of shape (1,)
         Standard deviation of the logit's shift.
-    profile : array of shape (3, point)
-        Of flow, area and pressure, equally spaced from inlet to outlet.
-    scale : array of shape (3,)
-        Factor on the deviations of flow, area and pressure.
+    profile, scale : arrays of shape (3, point) and (3,)
+        As of :class:`~pcnde_bridge.calibration.Calibration`.
     """
 
     members: Array
@@ -64,6 +62,11 @@ class Uncertainty:
     def __iter__(self) -> Iterator[tuple[str, Array]]:
         return ((f.name, getattr(self, f.name)) for f in fields(self))
 
+    @property
+    def calibration(self) -> Calibration:
+        """Profile and scale."""
+        return Calibration(self.profile, self.scale)
+
     def check(self, width: int) -> None:
         """Raise if the arrays do not belong together, or to a correction of ``width`` numbers.
 
@@ -72,51 +75,20 @@ class Uncertainty:
         InputError
             Saying what their shapes are, or which is not finite.
         """
-        for name, array in self:
-            if not np.isfinite(array).all():
+        self.calibration.check()
+        for name in ("members", "shift"):
+            if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"The uncertainty's {name} holds values that are not finite.")
         shapes = {name: array.shape for name, array in self}
-        n = len(VARIABLES)
-        fits = shapes["members"][1:] == (width,) and len(shapes["profile"]) == 2
-        if (
-            not fits
-            or shapes["shift"] != (1,)
-            or shapes["scale"] != (n,)
-            or shapes["profile"][0] != n
-        ):
+        if shapes["members"][1:] != (width,) or shapes["shift"] != (1,):
             raise InputError(f"The uncertainty's arrays do not belong together: {shapes}.")
-
-
-def parts(cases: Cases, folds: int) -> list[npt.NDArray[np.int64]]:
-    """List the cases that each fit of the ensemble leaves out.
-
-    The geometries in the order of their narrowest area, and the waveforms in the
-    order of their oscillation, are each cut into ``folds`` neighbouring parts, so
-    that the outermost are left out together: predictions are often asked for
-    beyond the training cases.  Where there are fewer geometries or waveforms than
-    parts and one, every ``folds``-th case is left out instead.
-    """
-    narrowness = cases.area_undeformed.min(axis=1) / cases.area_undeformed.max(axis=1)
-    oscillation = np.std(cases.inflow, axis=1)
-    found = []
-    for label, order in (("geometry", narrowness), ("waveform", oscillation)):
-        values = cases.labels[label].to_numpy()
-        distinct = np.unique(values)
-        if len(distinct) <= folds:
-            continue
-        mean = [float(order[values == v].mean()) for v in distinct]
-        ranked = distinct[np.argsort(mean, kind="stable")]
-        found += [np.flatnonzero(np.isin(values, part)) for part in np.array_split(ranked, folds)]
-    if found:
-        return found
-    return [np.arange(k, len(cases), folds) for k in range(folds) if len(cases) > folds]
 
 
 def calibrate(
     closures: Closures,
     parameters: ClosureParameters,
     members: Sequence[Array],
-    left_out: Sequence[npt.NDArray[np.int64]],
+    left_out: Sequence[Positions],
     cases: Cases,
     config: ClosureConfig,
     rng: np.random.Generator,
@@ -124,64 +96,39 @@ def calibrate(
     """Find profile, shift and scale on the cases that each member's fit left out."""
     grid = cases.grid
     normal = rng.standard_normal((_DRAWS, max(len(part) for part in left_out)))
-    errors: dict[str, list[Array]] = {name: [] for name in VARIABLES}
-    widths: dict[str, list[list[Array]]] = {name: [[] for _ in _SHIFTS] for name in VARIABLES}
+    errors: list[Array] = []
+    spreads: dict[float, list[Array]] = {shift: [] for shift in _SHIFTS}
     for member, part in zip(members, left_out, strict=True):
         held = cases.select(part)
         vectors = parameters.replace(correction=member)
 
         def predict(
             shift: Array, held: Cases = held, vectors: ClosureParameters = vectors
-        ) -> Solution:
-            count = len(shift) // len(held)
-            inflow, s_u = (np.tile(a, (count, 1)) for a in (held.inflow, held.area_undeformed))
-            return closures.predict(vectors, shift, inflow, s_u, grid, config)
+        ) -> list[Array]:
+            """Flow, area and pressure, each (draw, case, time, z), with shifts (draw, case)."""
+            inflow, s_u = (np.tile(a, (len(shift), 1)) for a in (held.inflow, held.area_undeformed))
+            solution = closures.predict(vectors, shift.ravel(), inflow, s_u, grid, config)
+            return [getattr(solution, name).reshape(-1, *held.flow.shape) for name in VARIABLES]
 
-        plain = predict(np.zeros(len(held)))
-        for name in VARIABLES:
-            errors[name].append(np.abs(getattr(plain, name) - getattr(held, name)))
-        for number, shift in enumerate(_SHIFTS):
-            if shift == 0:
-                for name in VARIABLES:
-                    widths[name][number].append(np.zeros_like(errors[name][-1]))
-                continue
-            draws = predict((shift * normal[:, : len(held)]).ravel())
-            for name in VARIABLES:
-                values = getattr(draws, name).reshape(_DRAWS, *getattr(held, name).shape)
-                widths[name][number].append(values.std(axis=0, ddof=1))
-    error = {name: np.concatenate(values) for name, values in errors.items()}
-    profile = {name: np.quantile(e, 0.68, axis=(0, 1)) for name, e in error.items()}
+        plain, true = predict(np.zeros((1, len(held)))), (getattr(held, n) for n in VARIABLES)
+        errors.append(np.abs([values[0] - t for values, t in zip(plain, true, strict=True)]))
+        spreads[0.0].append(np.zeros_like(errors[-1]))
+        for shift in _SHIFTS[1:]:
+            draws = predict(shift * normal[:, : len(held)])
+            spreads[shift].append(np.stack([values.std(axis=0, ddof=1) for values in draws]))
+    error = np.concatenate(errors, axis=1)
+    profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _LEAST
 
-    def scaled(number: int, name: str) -> tuple[float, float]:
-        """Factor that makes 90 % intervals hold 90 %, and their mean width then."""
-        width = np.hypot(np.concatenate(widths[name][number]), profile[name])
-        factor = calibrated_factor(error[name], width)
-        return factor, factor * float(width.mean()) / float(error[name].mean() + _LEAST)
+    def calibrated(spread: Array) -> tuple[float, Calibration]:
+        """Mean widths of the intervals, in terms of the errors and summed, and what gives them."""
+        calibration = Calibration.fit(profile, error, spread)
+        width = calibration.scale * np.hypot(spread, profile[:, None, None]).mean(axis=(1, 2, 3))
+        return float(np.sum(width / size)), calibration
 
-    widest = [sum(scaled(n, name)[1] for name in VARIABLES) for n in range(len(_SHIFTS))]
-    best = int(np.argmin(widest))
-    return Uncertainty(
-        np.array(members),
-        np.array([_SHIFTS[best]]),
-        np.stack([profile[name] for name in VARIABLES]),
-        np.array([scaled(best, name)[0] for name in VARIABLES]),
-    )
-
-
-def calibrated_factor(error: Array, width: Array) -> float:
-    """Factor on deviations that makes normal 90 % intervals hold 90 % of the errors.
-
-    Parameters
-    ----------
-    error, width : array of the same shape
-        Absolute errors, and the deviations before; where these are zero the values are
-        known, such as the flow at the inlet, and do not count.
-    """
-    inside = width > _LEAST
-    if not inside.any():
-        return 0.0
-    normal = NormalDist().inv_cdf(0.95)  # 90 % lie within so many deviations
-    return float(np.quantile(error[inside] / width[inside], 0.9)) / normal
+    found = {shift: calibrated(np.concatenate(of, axis=1)) for shift, of in spreads.items()}
+    best = min(_SHIFTS, key=lambda shift: found[shift][0])
+    _, calibration = found[best]
+    return Uncertainty(np.array(members), np.array([best]), calibration.profile, calibration.scale)
 
 
 def draw(
@@ -211,8 +158,7 @@ def draw(
     count = len(inflow)
     chosen = rng.integers(len(uncertainty.members), size=samples)
     shift = uncertainty.shift[0] * rng.standard_normal((samples, count))
-    along = np.linspace(0, 1, uncertainty.profile.shape[1])
-    place = (grid.z - grid.z[0]) / (grid.z[-1] - grid.z[0])
+    calibration = uncertainty.calibration
     found = {name: np.empty((samples, *mean.flow.shape)) for name in VARIABLES}
     largest = int(np.bincount(chosen).max(initial=0))
     for number, member in enumerate(uncertainty.members):
@@ -239,10 +185,10 @@ def draw(
             found[name][rows] = getattr(solution, name).reshape(rows.size, *mean.flow.shape)
     for number, name in enumerate(VARIABLES):
         centre = getattr(mean, name)
-        width = np.interp(place, along, uncertainty.profile[number])
-        noise = rng.standard_normal((samples, count, 1, 1)) * width
+        shared = calibration.shared(name, grid.z)
+        noise = rng.standard_normal((samples, count, 1, 1)) * shared
         found[name] -= centre
         found[name] += noise
-        found[name] *= uncertainty.scale[number]
+        found[name] *= calibration.scale[number]
         found[name] += centre
     return found

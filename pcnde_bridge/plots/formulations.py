@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STYLES = {
-    "3D": (TRUTH, "o", ""),  # the caller names it
+    "truth": (TRUTH, "o", ""),  # the caller names it
     "spatial": (PREDICTED, "-", "in space, $f(Q, S)$"),
     "temporal": (OTHER, "-", "in time, $f(Q)$"),
     "temporal_with_time": ("#CC79A7", "--", "in time, $f(Q, t)$"),
@@ -92,10 +92,10 @@ def smoothness(
         found = study.results[name, part]
         colour, style, words = _STYLES[name]
         # The truth of the area is the data's, not what continuity makes of the true flow.
-        area = cases.area if name == "3D" else found.continuity_area
+        area = cases.area if name == "truth" else found.continuity_area
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
             over: dict[str, Any] = {"color": colour, "label": words or truth_label, "lw": 1.5}
-            over |= {"ms": 2.5, "mfc": "none", "mew": 0.6} if name == "3D" else {}
+            over |= {"ms": 2.5, "mfc": "none", "mew": 0.6} if name == "truth" else {}
             axes[0, column].plot(cases.z, values[case, t_index], style, **over)
             axes[1, column].plot(cases.time, values[case, :, z_index], style, **over)
     titles = (label("flow"), "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)")

@@ -77,7 +77,7 @@ class FormulationStudy:
     cases : mapping of str to Cases
         ``"train"`` and, if given, ``"test"``: the truth.
     results : mapping of (str, str) to FormulationResult
-        For each formulation and set; ``("3D", set)`` holds the true flow, its slope, and
+        For each formulation and set; ``("truth", set)`` holds the true flow, its slope, and
         the areas that the same equations make of it.
     outcomes : mapping of str to str
         For each formulation ``"trained"``, or where it diverged.
@@ -193,7 +193,7 @@ def compare_formulations(
     outcomes: dict[str, str] = {}
     frames = []
     # What the true flow gives: the equations' own errors.
-    results = _results("3D", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
+    results = _results("truth", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
     with listening(progress, total) as on_record:
         for name, stage in stages.items():
             recorder = Recorder(time.perf_counter(), on_record)
@@ -270,9 +270,7 @@ def _results(
     uncorrected = np.repeat([1.0, 0.0], train.n_points)
     parameters = initial_parameters(config, train.n_times, train.n_points, 0)
     if np.isfinite(flows["train"]).all():
-        intermediate, fourier = all_at_once.fit_area(
-            flows["train"], train, engine, config, lambda _: lambda *_: None
-        )
+        intermediate, fourier = all_at_once.fit_area(flows["train"], train, engine, config)
         parameters = parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
     results = {}
     for part, cases in sets.items():

@@ -1,0 +1,157 @@
+"""How wide intervals come out, with predictions made by hand."""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pcnde_bridge import Cases, InputError
+from pcnde_bridge.calibration import Calibration
+from pcnde_bridge.closures.parameters import ClosureParameters
+from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, draw
+from pcnde_bridge.config import PHYSICS
+from pcnde_bridge.engines.base import Solution
+from pcnde_bridge.grid import Grid
+from pcnde_bridge.variables import VARIABLES
+
+GRID = Grid(np.arange(4) / 4, np.linspace(0, 4, 6), 1.0)
+UNITS = np.array([1e-3, 1e-4, 10.0])  # of the errors of flow, area and pressure
+ALONG = np.array([0.0, 1.0, 2.0, 4.0, 2.0, 1.0])  # nothing at the inlet, which is given
+FACTOR = 1 / NormalDist().inv_cdf(0.95)
+PARAMETERS = ClosureParameters(np.ones(4), np.ones(4), np.ones(5), np.array([1000.0]))
+
+
+def truth(inflow):
+    flow = np.repeat(inflow[:, :, None], 6, axis=2)
+    return Solution(flow, 0.1 + 0.01 * flow, 1e5 * flow)
+
+
+class ByHand:
+    """Errs by amount·(the correction's number) + response·shift, with the case in the inflow."""
+
+    def __init__(self, amount, response):
+        self.amount, self.response = np.broadcast_arrays(amount, response)
+        self.shifts = []
+
+    def predict(self, parameters, shift, inflow, area_undeformed, grid, config):
+        self.shifts.append(shift)
+        case = np.rint(inflow[:, 0]).astype(int) - 1
+        error = self.amount[case] * parameters.correction[0] + self.response[case] * shift
+        error = np.multiply.outer(error, np.ones((4, 1)) * ALONG)
+        return Solution(*(t + u * error for t, u in zip(truth(inflow), UNITS, strict=True)))
+
+
+def inflow_of(count):
+    return np.repeat(np.arange(1.0, count + 1)[:, None], 4, axis=1)
+
+
+@pytest.fixture
+def ten_cases():
+    inflow = inflow_of(10)
+    return Cases(*truth(inflow), np.full((10, 6), 0.1), GRID.time, GRID.z, period=1.0)
+
+
+# Five cases are off by a half, three by one, two by ten, in places where ALONG is one.
+AMOUNT = 0.5, 10.0, 0.5, 1.0, 1.0, 0.5, 0.5, 10.0, 1.0, 0.5
+
+
+@pytest.mark.parametrize(
+    ("responding", "shift", "factor"),
+    [
+        # A shift of one half widens what is off by ten to that, and nothing else.
+        (np.equal(AMOUNT, 10.0), 0.5, 1.0),
+        # What is off by ten needs a factor of ten, whatever the shift does elsewhere.
+        (np.less(AMOUNT, 10.0), 0.0, 10.0),
+    ],
+)
+def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift, factor):
+    # Draws with the deviation one in each case.
+    draws = np.repeat([-1.0, 1.0], 6)[:, None] * np.sqrt(11 / 12)
+    rng = SimpleNamespace(standard_normal=lambda shape: np.broadcast_to(draws, shape))
+    members = [np.array([1.0]), np.array([-1.0])]
+    left_out = [np.arange(5), np.arange(5, 10)]
+    found = calibrate(
+        ByHand(AMOUNT, 20.0 * responding), PARAMETERS, members, left_out, ten_cases, PHYSICS, rng
+    )
+    assert np.array_equal(found.members, members)
+    assert found.shift == [shift]
+    # 68 % of the cases are off by one at most.
+    assert np.allclose(found.profile, UNITS[:, None] * ALONG, rtol=1e-7, atol=0)
+    assert np.allclose(found.scale, factor * FACTOR, rtol=1e-7)
+
+
+def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, z=GRID.z):
+    """Draws about the truth, in terms of UNITS, and the shifts that made them."""
+    engine, inflow = ByHand(amount, response), inflow_of(len(amount))
+    uncertainty = Uncertainty(
+        np.array(members, dtype=float)[:, None],
+        np.array([shift]),
+        UNITS[:, None] * profile,
+        np.array(scale),
+    )
+    mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
+    rng = np.random.default_rng(0)
+    grid = Grid(GRID.time, z, 1.0)
+    found = draw(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, samples, rng)
+    off = [(found[n] - getattr(mean, n)) / u for n, u in zip(VARIABLES, UNITS, strict=True)]
+    return np.stack(off), np.concatenate(engine.shifts)
+
+
+def test_draws_of_members_are_their_predictions():
+    nothing = np.zeros((3, 2))
+    off, _ = drawn([1.0, -2.0, 5.0], 0.0, nothing, [1.0, 2.0, 3.0], 30, amount=(1.0, 3.0))
+    for one, scale in zip(off, (1.0, 2.0, 3.0), strict=True):
+        of_case = one[:, 0, 0, 1]
+        assert sorted(set(np.rint(of_case))) == [-2 * scale, scale, 5 * scale]
+        for case, amount in enumerate((1.0, 3.0)):
+            member = np.rint(of_case / scale)[:, None, None]
+            expected = scale * amount * member * ALONG * np.ones((4, 1))
+            assert np.allclose(one[:, case], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_draws_have_the_profiles_deviation():
+    profile = np.array([[0.0, 1.0], [1.0, 3.0], [2.0, 0.0]])
+    z = np.array([5.0, 6.0, 7.0, 7.5, 8.0, 9.0])  # anywhere: the profile reaches from end to end
+    off, _ = drawn([0.0], 0.0, profile, [1.0, 0.5, 2.0], 4000, amount=(1.0, 1.0), z=z)
+    place = (z - 5) / 4
+    expected = np.array([place, 0.5 * (1 + 2 * place), 2 * (2 - 2 * place)])
+    deviation = off.std(axis=1, ddof=1)
+    assert np.allclose(deviation, expected[:, None, None], rtol=0.05, atol=1e-6)
+    # One multiple for a whole case and variable, of its own.
+    assert np.allclose(off, off[:, :, :, :1], rtol=1e-5, atol=1e-6)
+    apart = np.corrcoef(np.concatenate([off[0, :, :, 0, 3], off[1, :, :, 0, 3]], axis=1).T)
+    assert np.abs(apart - np.eye(4)).max() < 0.06
+
+
+def test_draws_have_the_shifts_deviation():
+    off, shifts = drawn([0.0], 0.7, np.zeros((3, 2)), np.ones(3), 4000, (1.0, 1.0), (1.0, 5.0))
+    assert shifts.size == 8000
+    shifts = shifts.reshape(4000, 2)
+    assert np.allclose(shifts.std(axis=0), 0.7, rtol=0.05)
+    assert abs(np.corrcoef(shifts.T)[0, 1]) < 0.06
+    expected = (shifts * [1.0, 5.0])[:, :, None, None] * np.ones((4, 1)) * ALONG
+    assert np.allclose(off, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_factor_of_normal_errors():
+    error = np.abs(np.random.default_rng(0).normal(scale=3.0, size=(3, 100, 10, 100)))
+    spread = np.array([1.5, 3.0, 0.0])[:, None, None, None] * np.ones(error.shape)
+    # Where the values are known, errors by round-off do not count.
+    spread[0, :, :, :80] = 0
+    found = Calibration.fit(np.zeros((3, 100)), error, spread)
+    assert found.scale == pytest.approx([2, 1, 0], rel=0.02)
+
+
+def test_calibration_of_another_shape_is_refused():
+    for profile, scale, message in (
+        (np.ones((2, 4)), np.ones(3), "do not belong together"),
+        (np.ones((3, 0)), np.ones(3), "do not belong together"),
+        (np.ones((3, 4)), np.ones(2), "do not belong together"),
+        (np.ones((3, 4)), np.array([1.0, np.nan, 1.0]), "not finite"),
+        (np.ones((3, 4)), np.array([1.0, -2.0, 1.0]), "negative"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Calibration(profile, scale).check()
