@@ -99,8 +99,9 @@ class Solver1D:
         the wall law as the paper prints it, :data:`FEM_WALL` the wall behind its
         column "1D FEM".
     stenosis_length : float
-        L_s of the pressure drop in the stenosis, cm; its throat is where S_u is
-        smallest.  The points must be no more than a quarter of it apart.
+        L_s of the pressure drop in the stenosis, cm; its throat is where
+        :meth:`~pcnde_bridge.tube1d.Tube1D.solve_like` finds it.  The points must be no
+        more than a quarter of it apart.
     """
 
     def __init__(self, wall: LinearWall | None = None, stenosis_length: float = 0.5) -> None:

@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.datasets import _cache_folder
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.tube1d import Tube1D, Windkessel
+from pcnde_bridge.tube1d.problem import check_vessels
 from pcnde_bridge.validation import whole
 from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.waveform import DATA_FACTORS, Waveform, coronary
@@ -112,15 +114,20 @@ def synthetic(
     n_geometries = whole("n_geometries", n_geometries, 1)
     n_waveforms = whole("n_waveforms", n_waveforms, 1)
     seed, n_points = whole("seed", seed), whole("n_points", n_points)
-    positions = tuple(float(position) for position in stenosis_positions)
-    if not positions and n_geometries > 1:
+    positions = real_array("stenosis_positions", stenosis_positions)
+    if positions.ndim != 1:
+        raise InputError(
+            f"stenosis_positions must be a sequence (cm), got {stenosis_positions!r}; use "
+            "(2.0,) for a single one."
+        )
+    if not len(positions) and n_geometries > 1:
         raise InputError(
             f"Without a stenosis all {n_geometries} geometries are the same; use n_geometries=1."
         )
     solver = Tube1D() if tube is None else tube
     blockages = np.linspace(*BLOCKAGES, n_geometries).round(12)
     vessels = [
-        Vessel(tuple(Stenosis(float(blockage), position) for position in positions))
+        Vessel(tuple(Stenosis(float(blockage), position) for position in positions.tolist()))
         for blockage in blockages
     ]
     factors = _factors(n_waveforms)
@@ -199,31 +206,33 @@ def _solve(
     from rich.console import Console
     from rich.progress import track
 
-    outlet = Windkessel(OUTLET_RESISTANCE)
-    numbered = list(enumerate(vessels, start=1))
+    def batch(number: int, vessel: Vessel) -> dict[str, Any]:
+        labels = {
+            "geometry": [number] * len(waveforms),
+            "waveform": range(len(waveforms)),
+            "blockage": [vessel.blockage] * len(waveforms),
+            "factor": factors,
+        }
+        return {
+            "vessels": [vessel] * len(waveforms),
+            "waveforms": waveforms,
+            "outlet": Windkessel(OUTLET_RESISTANCE),
+            "n_points": n_points,
+            "labels": pd.DataFrame(labels),
+        }
+
+    batches = [batch(number, vessel) for number, vessel in enumerate(vessels, start=1)]
+    for arguments in batches:  # all of them before anything is computed
+        check_vessels(tube, **arguments)
     parts = []
     with fewer_words():
-        for number, vessel in track(
-            numbered,
+        for arguments in track(
+            batches,
             f"Computing {len(vessels) * len(waveforms)} cases",
             console=Console(stderr=True),
             disable=not progress,
         ):
-            labels = {
-                "geometry": [number] * len(waveforms),
-                "waveform": range(len(waveforms)),
-                "blockage": [vessel.blockage] * len(waveforms),
-                "factor": factors,
-            }
-            parts.append(
-                tube.simulate(
-                    [vessel] * len(waveforms),
-                    waveforms,
-                    outlet,
-                    n_points=n_points,
-                    labels=pd.DataFrame(labels),
-                )
-            )
+            parts.append(tube.simulate(**arguments))
     cases = _joined(parts)
     _log.info(
         "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst.",

@@ -18,7 +18,9 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.validation import all_of, finite, positive, whole
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +41,7 @@ class Stenosis:
     Raises
     ------
     InputError
-        If the blockage is outside [0, 1) or the length is not positive.
+        If one is not a finite number, the blockage outside [0, 1) or the length not positive.
     """
 
     blockage: float
@@ -47,15 +49,14 @@ class Stenosis:
     length: float = 0.5
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "blockage", finite("Stenosis.blockage", self.blockage))
+        object.__setattr__(self, "position", finite("Stenosis.position", self.position, "cm"))
+        object.__setattr__(self, "length", positive("Stenosis.length", self.length, "cm"))
         if not 0.0 <= self.blockage < 1.0:
             raise InputError(
                 f"Stenosis.blockage is a fraction of area in [0, 1), got {self.blockage!r}; "
                 "a percentage must be divided by 100."
             )
-        if not (math.isfinite(self.length) and self.length > 0.0):
-            raise InputError(f"Stenosis.length must be positive (cm), got {self.length!r}.")
-        if not math.isfinite(self.position):
-            raise InputError(f"Stenosis.position must be finite (cm), got {self.position!r}.")
 
     @property
     def start(self) -> float:
@@ -97,14 +98,11 @@ class Vessel:
     diameter: float = 0.4
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stenoses", tuple(self.stenoses))
+        object.__setattr__(self, "stenoses", all_of(Stenosis, "Vessel.stenoses", self.stenoses))
         for name in ("length", "diameter"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"Vessel.{name} must be positive (cm), got {value!r}.")
+            value = positive(f"Vessel.{name}", getattr(self, name), "cm")
+            object.__setattr__(self, name, value)
         for i, stenosis in enumerate(self.stenoses):
-            if not isinstance(stenosis, Stenosis):
-                raise InputError(f"Vessel.stenoses[{i}] must be a Stenosis, got {stenosis!r}.")
             if stenosis.start < 0.0 or stenosis.end > self.length:
                 raise InputError(
                     f"Vessel.stenoses[{i}] reaches from {stenosis.start:g} to {stenosis.end:g} cm, "
@@ -130,9 +128,7 @@ class Vessel:
 
     def grid(self, n_points: int = 101) -> Array:
         """Equally spaced points from inlet to outlet, cm, shape (n_points,)."""
-        if n_points < 2:
-            raise InputError(f"n_points must be at least 2, got {n_points!r}.")
-        return np.linspace(0.0, self.length, n_points)
+        return np.linspace(0.0, self.length, whole("n_points", n_points, 2))
 
     def radius_undeformed(self, z: npt.ArrayLike) -> Array:
         """Radius of the unloaded tube, cm.
@@ -145,9 +141,9 @@ class Vessel:
         Raises
         ------
         InputError
-            If a point lies outside the tube.
+            If a point is no real number, or lies outside the tube.
         """
-        z = np.asarray(z, dtype=np.float64)
+        z = real_array("z", z)
         tolerance = 1e-9 * self.length
         outside = ~((z >= -tolerance) & (z <= self.length + tolerance))
         if outside.any():

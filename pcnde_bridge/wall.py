@@ -19,9 +19,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.validation import finite, positive
 
 PAPER_REFERENCE_PRESSURE = 133_322.0
 """100 mmHg in dyn/cm²."""
+
+_UNITS = {
+    "young_modulus": "dyn/cm²",
+    "thickness": "cm",
+    "radius": "cm",
+    "k1": "g/(s²·cm)",
+    "k2": "1/cm",
+    "k3": "g/(s²·cm)",
+    "reference_pressure": "dyn/cm²",
+}
 
 
 def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
@@ -53,7 +64,7 @@ class LinearWall:
     Raises
     ------
     InputError
-        If a number is not finite, or E, h or r₀ is not positive.
+        If E, h, r₀ or p₀ is not a finite number, or one of the first three not positive.
     """
 
     young_modulus: float = 1.5e7
@@ -62,7 +73,7 @@ class LinearWall:
     reference_pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, positive=("young_modulus", "thickness", "radius"))
+        _check(self, above_zero=("young_modulus", "thickness", "radius"))
 
     @property
     def stiffness(self) -> float:
@@ -74,9 +85,9 @@ class LinearWall:
         return self.reference_pressure + self.stiffness * ((area / area_undeformed) ** 0.5 - 1.0)
 
     def area(self, pressure: Any, area_undeformed: Any) -> Any:
-        """Area S(p), cm²; the law ends (S = 0) at p = p₀ − 4/3·E·h/r₀."""
+        """Area S(p), cm²; the law ends (S = 0) at p = p₀ − 4/3·E·h/r₀, beyond it S < 0."""
         strain = (pressure - self.reference_pressure) / self.stiffness
-        return area_undeformed * (1.0 + strain) ** 2
+        return area_undeformed * _signed_square(1.0 + strain)
 
     def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
         """Slope dp/dS, dyn/cm⁴."""
@@ -103,7 +114,7 @@ class OlufsenWall:
     Raises
     ------
     InputError
-        If a number is not finite, k₁ is negative or k₃ is not positive.
+        If a number is not finite, k₁ is negative, k₂ positive, or k₃ not positive.
     """
 
     k1: float = 2.0e7
@@ -112,9 +123,13 @@ class OlufsenWall:
     reference_pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, positive=("k3",))
+        _check(self, above_zero=("k3",))
         if self.k1 < 0.0:
             raise InputError(f"OlufsenWall.k1 must not be negative, got {self.k1!r}.")
+        if self.k2 > 0.0:
+            raise InputError(
+                f"OlufsenWall.k2 must not be positive, got {self.k2!r}: a wider vessel is softer."
+            )
 
     def stiffness(self, area_undeformed: Any) -> Any:
         """4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
@@ -127,9 +142,9 @@ class OlufsenWall:
         return self.reference_pressure + self.stiffness(area_undeformed) * strain
 
     def area(self, pressure: Any, area_undeformed: Any) -> Any:
-        """Area S(p), cm²; the law ends (S = ∞) at p = p₀ + 4/3·(k₁·exp(k₂·r₀) + k₃)."""
+        """Area S(p), cm²; the law ends (S = ∞) at p = p₀ + 4/3·(k₁·exp(k₂·r₀) + k₃), then S < 0."""
         strain = (pressure - self.reference_pressure) / self.stiffness(area_undeformed)
-        return area_undeformed / (1.0 - strain) ** 2
+        return area_undeformed / _signed_square(1.0 - strain)
 
     def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
         """Slope dp/dS, dyn/cm⁴."""
@@ -140,9 +155,13 @@ class OlufsenWall:
         return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
 
 
-def _check(wall: LinearWall | OlufsenWall, positive: tuple[str, ...]) -> None:
-    for name, value in vars(wall).items():
-        if not math.isfinite(value):
-            raise InputError(f"{type(wall).__name__}.{name} must be finite, got {value!r}.")
-        if name in positive and value <= 0.0:
-            raise InputError(f"{type(wall).__name__}.{name} must be positive, got {value!r}.")
+def _signed_square(root: Any) -> Any:
+    """Square that keeps the sign, so that no pressure beyond a law's end passes for one within."""
+    return root * abs(root)
+
+
+def _check(wall: LinearWall | OlufsenWall, above_zero: tuple[str, ...]) -> None:
+    for name, value in list(vars(wall).items()):
+        check = positive if name in above_zero else finite
+        number = check(f"{type(wall).__name__}.{name}", value, _UNITS[name])
+        object.__setattr__(wall, name, number)

@@ -19,7 +19,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.validation import finite, positive, whole
 
 Array = npt.NDArray[np.float64]
 Form = Literal["oscillation", "printed"]
@@ -56,8 +58,8 @@ class Waveform:
     Raises
     ------
     InputError
-        If a coefficient is not finite, the lengths differ, or the period is not
-        positive.
+        If a coefficient is not a finite number, the lengths differ, or the period is
+        not positive.
 
     Examples
     --------
@@ -73,21 +75,16 @@ class Waveform:
     period: float = 1.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", finite("Waveform.mean", self.mean, "mL/s"))
+        object.__setattr__(self, "period", positive("Waveform.period", self.period, "s"))
         for name in ("cosine", "sine"):
-            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
-        if not math.isfinite(self.mean):
-            raise InputError(f"Waveform.mean must be finite (mL/s), got {self.mean!r}.")
-        for name in ("cosine", "sine"):
-            for i, value in enumerate(getattr(self, name)):
-                if not math.isfinite(value):
-                    raise InputError(f"Waveform.{name}[{i}] must be finite (mL/s), got {value!r}.")
+            values = _finite(f"Waveform.{name}", getattr(self, name))
+            object.__setattr__(self, name, tuple(values.tolist()))
         if len(self.cosine) != len(self.sine):
             raise InputError(
                 f"Waveform.cosine has {len(self.cosine)} terms and sine {len(self.sine)}; "
                 "give both the same number."
             )
-        if not (math.isfinite(self.period) and self.period > 0.0):
-            raise InputError(f"Waveform.period must be positive (s), got {self.period!r}.")
 
     @property
     def n_terms(self) -> int:
@@ -117,6 +114,7 @@ class Waveform:
 
     def samples(self, n_times: int = 100) -> Array:
         """Flow at n_times equal steps of one cycle from t = 0, mL/s, shape (n_times,)."""
+        n_times = whole("n_times", n_times, 1)
         return self.flow(np.arange(n_times) * (self.period / n_times))
 
     def scaled(self, factor: float, form: Form = "oscillation") -> Waveform:
@@ -136,8 +134,7 @@ class Waveform:
         InputError
             If the factor is not finite or the form unknown.
         """
-        if not math.isfinite(factor):
-            raise InputError(f"The waveform's factor must be finite, got {factor!r}.")
+        factor = finite("The waveform's factor", factor)
         if form not in ("oscillation", "printed"):
             raise InputError(f"form must be 'oscillation' or 'printed', got {form!r}.")
         sine = self._sine if form == "printed" else factor * self._sine
@@ -166,42 +163,44 @@ class Waveform:
         time : array_like of float, shape (n,), optional
             Instants, s, strictly increasing, covering at most one period; the end
             of the cycle may be repeated.  Equal steps of period / n by default.
-            Between unequal steps the flow is taken as linear.
+            Between samples in unequal steps the flow is linear, and the series is
+            that of these lines.
         period : float
             T, s.
         n_terms : int or None
             Largest number of harmonics; 60 is the paper's.  Samples in equal steps
             hold no more than n/2; with None all of them are taken, and the series
-            passes through every sample.
+            passes through every sample.  Lines have harmonics without end; with None
+            as many are taken as the shortest step fits into the period, at most 1000.
 
         Raises
         ------
         InputError
-            If a value is not finite, shapes differ, or the instants do not
+            If a value is not a finite number, shapes differ, or the instants do not
             increase or do not fit into the period.
         """
         samples = _finite("flow", flow)
-        if not (math.isfinite(period) and period > 0.0):
-            raise InputError(f"period must be positive (s), got {period!r}.")
-        if n_terms is not None and n_terms < 0:
-            raise InputError(f"n_terms must not be negative, got {n_terms!r}.")
-        first = 0.0
+        period = positive("period", period, "s")
+        n_terms = None if n_terms is None else whole("n_terms", n_terms)
+        first, steps = 0.0, None
         if time is not None:
-            samples, first = _equal_steps(_finite("time", time), samples, period)
+            samples, first, steps = _one_cycle(_finite("time", time), samples, period)
         if len(samples) < 3:
             raise InputError(f"A waveform needs at least 3 samples, got {len(samples)}.")
-        spectrum = np.fft.rfft(samples) / len(samples)
-        spectrum[1:] *= 2.0
-        if len(samples) % 2 == 0:
-            spectrum[-1] /= 2.0  # the highest harmonic of an even number stands alone
+        if steps is None:
+            spectrum = _spectrum_of_equal_steps(samples)
+            spectrum = spectrum[: None if n_terms is None else n_terms + 1]
+        else:
+            if n_terms is None:
+                n_terms = min(math.ceil(period / steps.min()), 1000)
+            spectrum = _spectrum_of_lines(samples, steps, n_terms)
         # The series counts time from 0, the samples from the first of them.
         spectrum *= np.exp(-2j * np.pi * np.arange(len(spectrum)) * (first / period))
-        spectrum = spectrum[: None if n_terms is None else n_terms + 1]
         return cls(
             float(spectrum[0].real),
             tuple(spectrum[1:].real.tolist()),
             tuple((-spectrum[1:].imag).tolist()),
-            float(period),
+            period,
         )
 
 
@@ -217,10 +216,7 @@ def coronary(period: float = 1.0) -> Waveform:
 
 
 def _finite(name: str, values: npt.ArrayLike) -> Array:
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be a sequence of numbers: {error}.") from error
+    array = real_array(name, values)
     if array.ndim != 1:
         raise InputError(f"{name} must have one dimension, got shape {array.shape}.")
     bad = np.flatnonzero(~np.isfinite(array))
@@ -229,11 +225,8 @@ def _finite(name: str, values: npt.ArrayLike) -> Array:
     return array
 
 
-def _equal_steps(time: Array, flow: Array, period: float) -> tuple[Array, float]:
-    """Flow at equal steps of one cycle, and the first instant.
-
-    Samples in other steps are taken as linear between them, from t = 0.
-    """
+def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, Array | None]:
+    """Flow without a repeated end, the first instant, and the steps unless they are equal."""
     if time.shape != flow.shape:
         raise InputError(f"time has {len(time)} values and flow {len(flow)}; give as many of both.")
     if len(time) < 3:
@@ -250,10 +243,30 @@ def _equal_steps(time: Array, flow: Array, period: float) -> tuple[Array, float]
         )
     if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
         time, flow = time[:-1], flow[:-1]
-    n = len(time)
-    if np.allclose(np.diff(time), period / n, rtol=1e-6, atol=0.0):
-        return flow, float(time[0])
-    # Finer than the shortest step, so that no sample is lost.
-    n_fine = min(max(n, math.ceil(2.0 * period / np.diff(time).min())), 100_000)
-    instants = np.arange(n_fine) * (period / n_fine)
-    return np.asarray(np.interp(instants, time, flow, period=period), dtype=np.float64), 0.0
+    first = float(time[0])
+    if np.allclose(np.diff(time), period / len(time), rtol=1e-6, atol=0.0):
+        return flow, first, None
+    return flow, first, np.diff(time, append=first + period)
+
+
+def _spectrum_of_equal_steps(flow: Array) -> npt.NDArray[np.complex128]:
+    """Aₙ − i·Bₙ, n = 0 … n/2, of the series through samples in equal steps from t = 0."""
+    spectrum = np.fft.rfft(flow) / len(flow)
+    spectrum[1:] *= 2.0
+    if len(flow) % 2 == 0:
+        spectrum[-1] /= 2.0  # the highest harmonic of an even number stands alone
+    return spectrum
+
+
+def _spectrum_of_lines(flow: Array, steps: Array, n_terms: int) -> npt.NDArray[np.complex128]:
+    """Aₙ − i·Bₙ, n = 0 … n_terms, of the lines that join samples in these steps from t = 0.
+
+    By parts, the integral of a line's rise over one step is that of a box.
+    """
+    period = steps.sum()
+    rise = np.roll(flow, -1) - flow
+    middle = (np.cumsum(steps) - steps / 2) / period
+    n = np.arange(1, n_terms + 1)[:, None]
+    boxes = np.sinc(n * steps / period) * np.exp(-2j * np.pi * n * middle)
+    mean = (flow + rise / 2) @ steps / period
+    return np.append(mean, boxes @ rise / (1j * np.pi * n[:, 0]))

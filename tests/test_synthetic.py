@@ -121,12 +121,21 @@ def test_stenoses_moved_doubled_and_absent(solved):
         ({"stenosis_positions": (1.0, 1.2)}, "overlap"),
         ({"stenosis_positions": (0.1,)}, "outside the tube"),
         ({"n_points": 1}, "n_points"),
+        ({"stenosis_positions": 2.0}, "stenosis_positions must be a sequence"),
+        ({"stenosis_positions": ("2",)}, "stenosis_positions must hold real numbers"),
     ],
 )
 def test_bad_arguments(arguments, message, tmp_path):
     with pytest.raises(InputError, match=message):
         synthetic(**arguments, cache=tmp_path, progress=False)
     assert list(tmp_path.rglob("*.npz")) == []
+
+
+def test_all_vessels_are_checked_before_computing(monkeypatch):
+    monkeypatch.setattr("pcnde_bridge.tube1d.run", lambda *_: pytest.fail("it computed"))
+    message = r"area_undeformed of case 0 \(geometry 10, waveform 0\) changes 2\.95-fold"
+    with pytest.raises(InputError, match=message):
+        synthetic(10, 2, n_points=35, cache=False, progress=False)
 
 
 # ---- cache -----------------------------------------------------------------------
@@ -147,6 +156,12 @@ def test_computed_once_for_each_set_of_parameters(solved, tmp_path, cases):
         synthetic(**{"n_geometries": 2, "n_waveforms": 3, **SMALL, **change}, cache=tmp_path)
     assert len(solved) == 1 + len(changes)
     assert len(list(tmp_path.rglob("*.npz"))) == 1 + len(changes)
+
+
+def test_numpys_numbers_are_a_recipe_too(solved, tmp_path):
+    tube = Tube1D(n_times=20, steps=100, viscosity=np.float32(0.04))
+    synthetic(2, 3, cache=tmp_path, **{**SMALL, "tube": tube})
+    assert len(list(tmp_path.rglob("*.npz"))) == 1
 
 
 def test_new_version_of_the_data_computes_again(solved, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import trapezoid
 
@@ -72,6 +73,23 @@ def test_seeley_young_drop_comes_out_whole(vessel):
     loss += 8 * math.pi * 0.04 * flow * healthy / HEALTHY**2
     drop = cases.pressure[0, -1, 0] - cases.pressure[0, -1, -1]
     assert drop == pytest.approx(loss, rel=1e-3)
+
+
+@pytest.mark.parametrize("loss", ["paper", "effective_length"])
+def test_friction_of_a_stenosis_follows_the_velocity_profile(loss):
+    """A stenosis that blocks nothing drops the pressure as the healthy wall does."""
+    z, area = straight(4.0, 41, n_cases=2)
+    drops = {}
+    for exponent in (2.0, 9.0):
+        tube = Tube1D(
+            wall=STIFF, stenosis_loss=loss, profile_exponent=exponent, n_times=4, steps=20
+        )
+        stenoses = [[], [Stenosis(0.0, position=2.0, length=1.0)]]
+        cases = tube.solve(z, area, [Waveform(2.0)] * 2, Windkessel(1e5), stenoses=stenoses)
+        drops[exponent] = cases.pressure[:, -1, 0] - cases.pressure[:, -1, -1]
+    np.testing.assert_allclose(drops[9.0] / drops[2.0], 11 / 4, rtol=1e-4)
+    if loss == "paper":
+        assert drops[9.0][1] == pytest.approx(drops[9.0][0], rel=1e-4)
 
 
 def test_outlet_keeps_resistance_and_distal_pressure():
@@ -259,6 +277,32 @@ def test_solve_like_finds_outlet_and_stenosis():
     assert list(again.labels) == list(truth.labels)
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [
+        1 - 0.2 * np.linspace(0, 1, 101),
+        1 + np.linspace(0, 1, 101),
+        (1 - np.linspace(0, 0.4, 101)) ** 2,
+    ],
+)
+def test_a_taper_is_no_stenosis(shape):
+    z = np.linspace(0.0, 4.0, 101)
+    tube = Tube1D(n_times=20, steps=100)
+    cases = tube.solve(z, [HEALTHY * shape], [coronary()], OUTLET)
+    again = tube.solve_like(cases, OUTLET)
+    np.testing.assert_allclose(again.pressure, cases.pressure, rtol=1e-9)
+
+
+def test_stenosis_of_a_tapering_vessel_is_found():
+    z = np.linspace(0.0, 4.0, 101)
+    narrow = Vessel((Stenosis(0.6, position=1.2),)).area_undeformed(z) * (1 - 0.5 * z / 4)
+    tube = Tube1D(n_times=20, steps=100)
+    stenosis = Stenosis(1 - narrow[30] / narrow[23], position=1.2)
+    cases = tube.solve(z, [narrow], [coronary()], OUTLET, stenoses=[[stenosis]])
+    again = tube.solve_like(cases, OUTLET)
+    np.testing.assert_allclose(again.pressure, cases.pressure, rtol=1e-9)
+
+
 @pytest.mark.data
 def test_the_papers_test_cases(published_cases):
     """The paper's 1D FEM column is met by its own wall law less the factor 4/3."""
@@ -280,6 +324,7 @@ def test_the_papers_test_cases(published_cases):
 Z, AREA = straight(4.0, 41, n_cases=2)
 WAVES = [Waveform(1.0, (0.2,), (0.0,))] * 2
 OUTLET = Windkessel(1e5)
+NUMBERS = {"geometry": [1, 2], "waveform": [0, 0]}
 
 
 def with_value(array, index, value):
@@ -341,6 +386,44 @@ def with_value(array, index, value):
         ),
         (lambda: Tube1D().simulate([], [], OUTLET), r"no vessel"),
         (
+            lambda: Tube1D().solve(
+                Z, AREA, WAVES, OUTLET, labels={**NUMBERS, "periodicity": [0.0, 0.0]}
+            ),
+            r"'periodicity', as the solver names one",
+        ),
+        (
+            lambda: Tube1D().simulate(
+                [Vessel()] * 2, WAVES, OUTLET, labels={**NUMBERS, "volume_balance": [0, 0]}
+            ),
+            r"'volume_balance', as the solver names one",
+        ),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel(np.nan)), r"outlet.resistance is nan"),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel("1")), r"resistance must hold real"),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, 1e5), r"outlet must be a Windkessel"),
+        (lambda: Tube1D().simulate([Vessel()] * 2, WAVES, 1e5), r"outlet must be a Windkessel"),
+        (lambda: Tube1D().solve(Z, AREA + 1j, WAVES, OUTLET), r"area_undeformed must hold real"),
+        (
+            lambda: Tube1D().solve(Z, np.ma.masked_greater(AREA, 0.1), WAVES, OUTLET),
+            r"area_undeformed has masked values",
+        ),
+        (lambda: Tube1D().simulate(Vessel(), WAVES, OUTLET), r"sequence of Vessel, got Vessel"),
+        (lambda: Tube1D().simulate([1.0] * 2, WAVES, OUTLET), r"vessels\[0\] must be a Vessel"),
+        (lambda: Tube1D().solve(Z, AREA, coronary(), OUTLET), r"sequence of Waveform"),
+        (
+            lambda: Tube1D().simulate([Vessel()] * 2, WAVES, OUTLET, n_points=101.0),
+            r"n_points must be a whole number",
+        ),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[], [0.5]]),
+            r"stenoses\[1\]\[0\] must be a Stenosis",
+        ),
+        (lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=0.5), r"stenoses must be a seq"),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, initial_pressure="1"),
+            r"initial_pressure must be a number",
+        ),
+        (lambda: Tube1D(density="1"), r"density must be a number \(g/cm³\)"),
+        (
             lambda: Tube1D().simulate([Vessel(), Vessel(length=5.0)], WAVES, OUTLET),
             r"Vessel 1 is 5 cm",
         ),
@@ -383,3 +466,68 @@ def test_a_cycle_that_is_not_periodic_is_told(caplog):
     cases = tube.solve(Z, AREA, WAVES, outlet)
     assert cases.labels["periodicity"][0] > 1e-2
     assert "use more cycles" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("wall", "outlet", "initial_pressure"),
+    [
+        (LinearWall(), Windkessel(1e3, 1e5, 5e-3), 1e5),  # a time constant of 500 s
+        (LinearWall(5e5), Windkessel(1e6), None),  # 6 s, and more when it is wide
+    ],
+)
+def test_periodicity_is_the_distance_of_slow_outlets_too(wall, outlet, initial_pressure, caplog):
+    tube = Tube1D(wall=wall, n_times=20, steps=100)
+    cases = tube.simulate(
+        [Vessel()], [coronary()], outlet, n_points=21, initial_pressure=initial_pressure
+    )
+    # What flows in flows out in the periodic cycle, whatever happens between.
+    mean = (outlet.resistance + outlet.distal_resistance) * coronary().mean
+    distance = mean / cases.pressure.mean() - 1
+    assert 0.9 * distance < cases.labels["periodicity"][0] < 3 * distance
+    assert "use more cycles" in caplog.text
+
+
+@pytest.mark.parametrize("modulus", [2e5, 1e6])
+def test_soft_vessels_start_from_rest(modulus):
+    vessels = [Vessel(), Vessel((Stenosis(0.85),))]
+    tube = Tube1D(LinearWall(modulus), n_times=20, steps=100, cycles=1)
+    cases = tube.simulate(vessels, [coronary()] * 2, OUTLET, n_points=81)
+    assert cases.labels["volume_balance"].max() < 1e-12
+    assert cases.pressure[:, 1:].min() > 0
+    start = cases.pressure[:, :6].mean(axis=(1, 2))
+    assert (cases.pressure[:, -1].mean(axis=1) > 2 * start).all()
+
+
+@pytest.mark.parametrize(("wall", "pressure"), [(LinearWall(), -5.1e6), (OlufsenWall(), 1.8e6)])
+def test_outlet_beyond_the_wall_law_is_told_with_its_place(wall, pressure):
+    outlet = Windkessel(0.0, distal_pressure=pressure)
+    tube = Tube1D(wall, n_times=20, steps=100)
+    with pytest.raises(SolveError, match=r"diverged at t = 0\.01 s, near z = 4 cm"):
+        tube.simulate([Vessel()], [coronary()], outlet, n_points=21)
+
+
+def test_a_stenosis_without_loss_may_be_anywhere():
+    tube = Tube1D(stenosis_loss="none", n_times=4, steps=20, cycles=1)
+    stenoses = [[], [Stenosis(0.5, position=4.0)]]
+    cases = tube.solve(Z, AREA, [Waveform(1.0)] * 2, OUTLET, stenoses=stenoses)
+    np.testing.assert_array_equal(cases.pressure[0], cases.pressure[1])
+
+
+def test_labels_that_are_not_given():
+    tube = Tube1D(n_times=4, steps=20, cycles=1)
+    narrow, wave = Vessel((Stenosis(0.3, length=1.0),)), Waveform(1.0)
+    other = Waveform(0.5)
+    cases = tube.simulate(
+        [narrow, narrow, Vessel()], [wave] * 3, Windkessel([1e5, 2e5, 1e5]), n_points=41
+    )
+    assert cases.labels["geometry"].tolist() == [0, 1, 2]
+    assert cases.labels["waveform"].tolist() == [0, 0, 0]
+    cases = tube.simulate(
+        [narrow] * 4, [wave, other] * 2, Windkessel([1e5, 1e5, 2e5, 2e5]), n_points=41
+    )
+    assert cases.labels["geometry"].tolist() == [0, 0, 1, 1]
+    assert cases.labels["waveform"].tolist() == [0, 1, 0, 1]
+    for labels in (NUMBERS, pd.DataFrame(NUMBERS, index=[5, 6])):
+        cases = tube.simulate([narrow] * 2, [wave] * 2, OUTLET, n_points=41, labels=labels)
+        assert cases.labels["geometry"].tolist() == [1, 2]
+        assert cases.labels["blockage"].tolist() == [0.3, 0.3]

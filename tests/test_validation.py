@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from pcnde_bridge import InputError
 from pcnde_bridge.baselines import ResponseSurface
 from pcnde_bridge.tube1d import Tube1D
-from pcnde_bridge.validation import whole
+from pcnde_bridge.validation import all_of, finite, positive, whole
 
 
 @pytest.mark.parametrize("value", [3, np.int64(3), np.uint8(3)])
@@ -25,3 +27,40 @@ def test_whole_numbers_may_be_numpys(value):
 def test_what_counts_nothing_is_refused(value):
     with pytest.raises(InputError, match=re.escape(f"n must be a whole number ≥ 3, got {value!r}")):
         whole("n", value, 3)
+
+
+@pytest.mark.parametrize("check", [finite, positive])
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int8(2), Fraction(2)])
+def test_real_numbers_may_be_numpys(check, value):
+    assert type(check("x", value)) is float
+    assert check("x", value) == 2.0
+
+
+@pytest.mark.parametrize("check", [finite, positive])
+@pytest.mark.parametrize("value", ["1", None, True, np.True_, 1j, [1.0], np.array([1.0])])
+def test_what_is_no_real_number_is_refused(check, value):
+    with pytest.raises(InputError, match=re.escape(f"x must be a number (cm), got {value!r}.")):
+        check("x", value, "cm")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_infinite_numbers_are_refused(value):
+    with pytest.raises(InputError, match=re.escape(f"x must be finite, got {value!r}.")):
+        finite("x", value)
+    with pytest.raises(InputError, match=r"x must be positive and finite \(s\), got"):
+        positive("x", value, "s")
+
+
+def test_positive_numbers_are_above_zero():
+    assert finite("x", -1) == -1.0
+    for value in (0.0, -1):
+        with pytest.raises(InputError, match=f"x must be positive and finite, got {value!r}"):
+            positive("x", value)
+
+
+def test_objects_of_one_kind():
+    assert all_of(str, "names", iter("ab")) == ("a", "b")
+    with pytest.raises(InputError, match=r"names\[1\] must be a str, got int"):
+        all_of(str, "names", ["a", 1])
+    with pytest.raises(InputError, match=r"names must be a sequence of str, got int"):
+        all_of(str, "names", 1)

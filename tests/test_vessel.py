@@ -58,6 +58,13 @@ def test_several_stenoses_and_none():
         (lambda: Vessel((0.5,)), r"must be a Stenosis"),
         (lambda: Vessel().area_undeformed([0.0, 4.5]), r"z\[1\] = 4.5 cm is outside"),
         (lambda: Vessel().grid(1), r"n_points"),
+        (lambda: Vessel().grid(101.0), r"n_points must be a whole number"),
+        (lambda: Vessel(length="4"), r"Vessel.length must be a number \(cm\)"),
+        (lambda: Vessel(length=True), r"Vessel.length must be a number"),
+        (lambda: Vessel(Stenosis(0.5)), r"must be a sequence of Stenosis, got Stenosis"),
+        (lambda: Stenosis("0.5"), r"blockage must be a number"),
+        (lambda: Stenosis(0.5, None), r"position must be a number \(cm\)"),
+        (lambda: Vessel().area_undeformed(["a"]), r"z must hold real numbers"),
     ],
 )
 def test_bad_input(make, words):

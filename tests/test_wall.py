@@ -49,6 +49,23 @@ def test_numbers_of_the_paper():
     assert OlufsenWall().stiffness(math.pi * 0.04) == pytest.approx(by_hand, rel=1e-12)
 
 
+def test_area_beyond_the_end_of_the_law_is_negative():
+    """It had been that of another pressure, on the other branch of a square."""
+    linear, olufsen = LinearWall(), OlufsenWall()
+    end = linear.stiffness
+    assert linear.area(np.array([-1.1 * end, -end, -0.9 * end]), 0.1) == pytest.approx(
+        [-0.001, 0.0, 0.001]
+    )
+    end = olufsen.stiffness(0.1)
+    assert olufsen.area(np.array([0.9 * end, 1.1 * end]), 0.1) == pytest.approx([10.0, -10.0])
+
+
+def test_numbers_may_be_numpys():
+    wall = LinearWall(thickness=np.float32(0.5), reference_pressure=np.int64(3))
+    assert wall == LinearWall(thickness=0.5, reference_pressure=3.0)
+    assert type(wall.thickness) is float
+
+
 def test_same_on_jax_arrays():
     jnp = pytest.importorskip("jax.numpy")
     for wall in WALLS:
@@ -66,6 +83,9 @@ def test_same_on_jax_arrays():
         (lambda: LinearWall(reference_pressure=math.nan), r"reference_pressure must be finite"),
         (lambda: OlufsenWall(k3=0.0), r"k3 must be positive"),
         (lambda: OlufsenWall(k1=-1.0), r"k1 must not be negative"),
+        (lambda: OlufsenWall(k2=1e5), r"k2 must not be positive"),
+        (lambda: OlufsenWall(k2="1"), r"k2 must be a number \(1/cm\)"),
+        (lambda: LinearWall(radius=True), r"radius must be a number \(cm\)"),
     ],
 )
 def test_bad_input(make, words):

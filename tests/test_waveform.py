@@ -49,6 +49,36 @@ def test_uneven_samples_are_joined_linearly():
     assert waveform.flow(0.95) == pytest.approx(0.95, abs=0.05)  # back to the start
 
 
+def test_series_of_uneven_samples_is_that_of_the_lines():
+    time, period = np.array([0.05, 0.3, 0.32, 0.6]), 0.8
+    flow = np.array([1.0, 2.0, -1.2, 0.8])
+    waveform = Waveform.from_samples(flow, time, period)
+    assert waveform.n_terms == 60
+    instants = (np.arange(200_000) + 0.5) * (period / 200_000)
+    lines = np.interp(instants, time, flow, period=period)
+    assert waveform.mean == pytest.approx(lines.mean(), rel=1e-8)
+    for n in (1, 2, 7, 60):
+        angle = 2 * math.pi * n / period * instants
+        assert waveform.cosine[n - 1] == pytest.approx(2 * (lines * np.cos(angle)).mean(), abs=1e-8)
+        assert waveform.sine[n - 1] == pytest.approx(2 * (lines * np.sin(angle)).mean(), abs=1e-8)
+
+
+def test_mean_of_few_uneven_samples_is_exact():
+    time = [0.0, 0.3, 0.6]
+    q = coronary().flow(time)
+    exact = 0.3 * (q[0] + q[1]) / 2 + 0.3 * (q[1] + q[2]) / 2 + 0.4 * (q[2] + q[0]) / 2
+    for n_terms in (0, 60, None):
+        waveform = Waveform.from_samples(q, time, n_terms=n_terms)
+        assert waveform.mean == pytest.approx(exact, rel=1e-14)
+        assert waveform.n_terms == {0: 0, 60: 60, None: 4}[n_terms]
+
+
+def test_numbers_may_be_numpys():
+    waveform = Waveform(np.float32(0.5), (np.float32(0.25),), np.array([1]), np.int64(2))
+    assert waveform == Waveform(0.5, (0.25,), (1.0,), 2.0)
+    assert {type(v) for v in (waveform.mean, *waveform.cosine, *waveform.sine)} == {float}
+
+
 @pytest.mark.parametrize("first", [1e-12, 0.005, 1.0, -0.3])
 @pytest.mark.parametrize("n", [99, 100])
 def test_equal_steps_may_begin_at_any_time(first, n):
@@ -92,6 +122,21 @@ def test_coronary_is_positive_and_physiological():
         (lambda: Waveform.from_samples([1, 2, 3], n_terms=-1), r"n_terms"),
         (lambda: coronary().scaled(math.nan), r"factor must be finite"),
         (lambda: coronary().scaled(1.0, "sine"), r"'oscillation' or 'printed'"),
+        (
+            lambda: Waveform.from_samples(np.ma.array([1, 2, 1e9, 3.0], mask=[0, 0, 1, 0])),
+            r"flow has masked values",
+        ),
+        (lambda: Waveform.from_samples([1, 2 + 1j, 3]), r"flow must hold real numbers.*complex"),
+        (lambda: Waveform.from_samples([1, 2, 3], period=None), r"period must be a number \(s\)"),
+        (lambda: Waveform.from_samples([1, 2, 3], n_terms=2.5), r"n_terms must be a whole number"),
+        (lambda: Waveform.from_samples([1, 2, 3], n_terms=True), r"n_terms must be a whole number"),
+        (lambda: Waveform("1"), r"mean must be a number \(mL/s\)"),
+        (lambda: Waveform(None), r"mean must be a number"),
+        (lambda: Waveform(1.0, period="1"), r"period must be a number \(s\)"),
+        (lambda: Waveform(1.0, None, None), r"cosine must hold real numbers"),
+        (lambda: Waveform(1.0, (1j,), (0.0,)), r"cosine must hold real numbers"),
+        (lambda: coronary().scaled("2"), r"factor must be a number"),
+        (lambda: coronary().samples(2.5), r"n_times must be a whole number"),
     ],
 )
 def test_bad_input(make, words):

@@ -45,9 +45,9 @@ import numpy.typing as npt
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.precision import double_precision
-from pcnde_bridge.tube1d.problem import check, upstream_area
+from pcnde_bridge.tube1d.problem import Problem, check, check_vessels, fits, upstream_area
 from pcnde_bridge.tube1d.steps import run
-from pcnde_bridge.validation import whole
+from pcnde_bridge.validation import finite, positive, whole
 from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.wall import LinearWall, OlufsenWall
 from pcnde_bridge.waveform import Waveform
@@ -101,7 +101,8 @@ class Tube1D:
         narrowing is, where it replaces the wall friction.  ``'paper'`` puts L_s into K_v,
         ``'effective_length'`` 0.83·L_s + 1.64·D_s.  The areas are the undeformed
         ones, and the drop is scaled by (S_u/S)², as both of its parts are when the
-        vessel widens.
+        vessel widens.  Its viscous part, Poiseuille's for the parabola, is scaled by
+        (ζ + 2)/4, as the wall friction is.
     turbulent_coefficient : float
         K_t of that drop.
     density, viscosity : float
@@ -147,18 +148,19 @@ class Tube1D:
                 "Tube1D.stenosis_loss must be 'none', 'paper' or 'effective_length', "
                 f"got {self.stenosis_loss!r}."
             )
-        for name in ("density", "viscosity", "profile_exponent"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"Tube1D.{name} must be positive, got {value!r}.")
-        if not (math.isfinite(self.turbulent_coefficient) and self.turbulent_coefficient >= 0.0):
+        for name, unit in (("density", "g/cm³"), ("viscosity", "poise"), ("profile_exponent", "")):
+            value = positive(f"Tube1D.{name}", getattr(self, name), unit)
+            object.__setattr__(self, name, value)
+        coefficient = finite("Tube1D.turbulent_coefficient", self.turbulent_coefficient)
+        object.__setattr__(self, "turbulent_coefficient", coefficient)
+        if coefficient < 0.0:
             raise InputError(
                 "Tube1D.turbulent_coefficient must not be negative, "
                 f"got {self.turbulent_coefficient!r}."
             )
         for name, least in (("n_times", 4), ("steps", 1), ("cycles", 1)):
-            value = whole(f"Tube1D.{name}", getattr(self, name), least)
-            object.__setattr__(self, name, value)
+            number = whole(f"Tube1D.{name}", getattr(self, name), least)
+            object.__setattr__(self, name, number)
         if self.steps % self.n_times:
             raise InputError(
                 f"Tube1D.steps = {self.steps} is not a multiple of n_times = {self.n_times}, "
@@ -180,6 +182,11 @@ class Tube1D:
         """N of the momentum equation, cm²/s."""
         return -2.0 * math.pi * self.kinematic_viscosity * (self.profile_exponent + 2.0)
 
+    @property
+    def friction_ratio(self) -> float:
+        """Friction over that of the parabola, (ζ + 2)/4."""
+        return (self.profile_exponent + 2.0) / 4.0
+
     def simulate(
         self,
         vessels: Sequence[Vessel],
@@ -199,7 +206,9 @@ class Tube1D:
         waveforms : sequence of Waveform, n_cases
             All of the same period.
         outlet, initial_pressure, labels
-            See :meth:`solve`; the label ``blockage`` is the vessel's by default.
+            See :meth:`solve`; the label ``blockage`` is the vessel's by default, and
+            without labels a pair of vessel and waveform that comes again, at another
+            outlet, is another geometry.
         n_points : int
             Points along the vessel.
 
@@ -215,32 +224,8 @@ class Tube1D:
         SolveError
             If a case diverges.
         """
-        if not vessels:
-            raise InputError("There is no vessel to solve; give at least one.")
-        for i, vessel in enumerate(vessels):
-            if vessel.length != vessels[0].length:
-                raise InputError(
-                    f"Vessel {i} is {vessel.length:g} cm long, vessel 0 {vessels[0].length:g} cm; "
-                    "solve different lengths in different batches."
-                )
-        z = vessels[0].grid(n_points)
-        if labels is None:
-            # One geometry per different vessel, one waveform label per different waveform.
-            shapes = list(dict.fromkeys(vessels))
-            inlets = list(dict.fromkeys(waveforms))
-            labels = {
-                "geometry": [shapes.index(v) for v in vessels],
-                "waveform": [inlets.index(w) for w in waveforms],
-                "blockage": [v.blockage for v in vessels],
-            }
-        return self.solve(
-            z,
-            np.array([vessel.area_undeformed(z) for vessel in vessels]),
-            waveforms,
-            outlet,
-            stenoses=[vessel.stenoses for vessel in vessels],
-            initial_pressure=initial_pressure,
-            labels=labels,
+        return self._run(
+            check_vessels(self, vessels, waveforms, outlet, n_points, initial_pressure, labels)
         )
 
     def solve(
@@ -257,7 +242,8 @@ class Tube1D:
         """Solve vessels given by their undeformed area.
 
         Every case starts from rest (Q = 0).  Periodicity and volume balance of
-        each case are logged and returned as labels.
+        each case are logged and returned as labels.  A slow outlet, or a soft wall,
+        needs many cycles to fill, unless ``initial_pressure`` is near the mean.
 
         Parameters
         ----------
@@ -283,9 +269,11 @@ class Tube1D:
         Cases
             The last cycle, ``n_times`` instants from t = 0 and the points z, with
             two more labels: ``periodicity``, the largest of the relative changes
-            ‖last − previous cycle‖/‖last cycle‖ of flow, area and pressure (NaN
-            with one cycle), and ``volume_balance``, the change of volume in the
-            last cycle less what flowed in and out, over the volume.
+            ‖last − previous cycle‖/‖last cycle‖ of flow, area and pressure, over
+            1 − exp(−T/τ) (NaN with one cycle), and ``volume_balance``, the change of
+            volume in the last cycle less what flowed in and out, over the volume.
+            With τ = R_d·C + (R + R_d)·∫dS/dp dz, in which Windkessel and vessel
+            fill, ``periodicity`` is how far the cycles still are from the periodic one.
 
         Raises
         ------
@@ -294,12 +282,14 @@ class Tube1D:
         SolveError
             If a case diverges; names the case, the time and the place.
         """
-        problem = check(
-            self, z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
+        return self._run(
+            check(self, z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels)
         )
+
+    def _run(self, problem: Problem) -> Cases:
         with double_precision():
             last, previous, volume_balance = run(self, problem)
-        periodicity = _periodicity(last, previous)
+        periodicity = _periodicity(last, previous) / self._settling(problem, last)
         _report(periodicity, volume_balance)
         flow, area, pressure = last
         table = problem.labels.assign(periodicity=periodicity, volume_balance=volume_balance)
@@ -313,6 +303,18 @@ class Tube1D:
             period=problem.period,
             labels=table,
         )
+
+    def _settling(self, problem: Problem, last: list[Array]) -> Array:
+        """Share of its distance to the periodic state that a cycle covers, (case,)."""
+        proximal, distal, delay, _ = problem.outlet
+        area_undeformed = problem.area_undeformed
+        slope = self.wall.pressure_slope(last[1].mean(axis=1), area_undeformed)
+        compliance = (1.0 / slope).mean(axis=1) * (problem.z[-1] - problem.z[0])
+        # The sum of both times is an upper bound of the slower of two that are coupled.
+        slowest = delay + (proximal + distal) * compliance
+        with np.errstate(divide="ignore"):
+            share: Array = -np.expm1(-problem.period / slowest)
+        return share
 
     def solve_like(
         self,
@@ -338,8 +340,10 @@ class Tube1D:
             By default the resistance that fits the data best, see
             :func:`outlet_resistance`.
         stenosis_length : float
-            L_s of the Seeley–Young drop, cm.  Its throat is where S_u is smallest;
-            a vessel whose S_u varies by less than 1 % has none.
+            L_s of the Seeley–Young drop, cm.  Its throat is where S_u is smallest
+            against a vessel that tapers evenly, S_u = a·exp(b·z), from end to end,
+            as far as the stenosis fits in; a vessel that is nowhere 1 % narrower
+            than that has none.
         initial_pressure : float, optional
             See :meth:`solve`.
 
@@ -390,7 +394,13 @@ def outlet_resistance(cases: Cases) -> float:
 
 
 def _find_stenosis(z: Array, area_undeformed: Array, length: float) -> tuple[Stenosis, ...]:
-    throat = int(np.argmin(area_undeformed))
+    # An even taper is no stenosis, nor is a cone, which lies above it.
+    taper = np.geomspace(area_undeformed[0], area_undeformed[-1], len(z))
+    narrowing = area_undeformed / taper
+    inside = [fits(Stenosis(0.0, position, length), z) for position in z]
+    throat = int(np.argmin(np.where(inside, narrowing, np.inf)))
+    if not inside[throat] or narrowing[throat] > 0.99:
+        return ()
     position = float(z[throat])
     upstream = upstream_area(z, area_undeformed, position - length / 2)
     blockage = float(1.0 - area_undeformed[throat] / upstream)
@@ -419,7 +429,8 @@ def _report(periodicity: Array, volume_balance: Array) -> None:
     late = np.flatnonzero(periodicity > _NOT_PERIODIC)
     if len(late):
         _log.warning(
-            "%d of %d cases still change from cycle to cycle, case %d by %.1e; use more cycles.",
+            "%d of %d cases are not periodic yet, case %d is %.1e away; use more cycles, or an "
+            "initial_pressure nearer the mean.",
             len(late),
             len(periodicity),
             int(late[0]),

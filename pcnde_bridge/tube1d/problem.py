@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
-from pcnde_bridge.case_checks import UnitsWarning
+from pcnde_bridge.case_checks import UnitsWarning, real_array
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.stenosis import effective_length, turbulent_drop, viscous_drop
-from pcnde_bridge.tube1d.steps import GAMMA
-from pcnde_bridge.vessel import Stenosis
+from pcnde_bridge.tube1d.steps import GAMMA, named
+from pcnde_bridge.validation import all_of, finite
+from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.waveform import Waveform
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from pcnde_bridge.tube1d import Tube1D, Windkessel
 
 Array = npt.NDArray[np.float64]
 
 _LARGEST_AREA_RATIO = 2.5  # of S_u between neighbouring points
 _STEPS_PER_HARMONIC = 8  # time steps per period of the highest harmonic
+_OWN_LABELS = ("periodicity", "volume_balance")
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,56 @@ class Problem:
     initial_pressure: float
     period: float
     labels: pd.DataFrame
+
+
+def check_vessels(
+    tube: Tube1D,
+    vessels: Sequence[Vessel],
+    waveforms: Sequence[Waveform],
+    outlet: Windkessel,
+    n_points: int,
+    initial_pressure: float | None = None,
+    labels: pd.DataFrame | Mapping[str, Any] | None = None,
+) -> Problem:
+    """Bring idealised vessels to the solver's grid; see :func:`check`."""
+    vessels = all_of(Vessel, "vessels", vessels)
+    waveforms = all_of(Waveform, "waveforms", waveforms)
+    if not vessels:
+        raise InputError("There is no vessel to solve; give at least one.")
+    for i, vessel in enumerate(vessels):
+        if vessel.length != vessels[0].length:
+            raise InputError(
+                f"Vessel {i} is {vessel.length:g} cm long, vessel 0 {vessels[0].length:g} cm; "
+                "solve different lengths in different batches."
+            )
+    z = vessels[0].grid(n_points)
+    if labels is None:
+        labels = _default_labels(vessels, waveforms)
+    if isinstance(labels, Mapping | pd.DataFrame) and "blockage" not in labels:
+        labels = {**labels, "blockage": [vessel.blockage for vessel in vessels]}
+    area = np.array([vessel.area_undeformed(z) for vessel in vessels])
+    stenoses = [vessel.stenoses for vessel in vessels]
+    return check(tube, z, area, waveforms, outlet, stenoses, initial_pressure, labels)
+
+
+def _default_labels(
+    vessels: Sequence[Vessel], waveforms: Sequence[Waveform]
+) -> dict[str, list[int]]:
+    """One geometry per different vessel, one waveform label per different waveform.
+
+    A vessel that comes again with the same waveform, at another outlet, is another
+    geometry each time.
+    """
+    before: Counter[tuple[Vessel, Waveform]] = Counter()
+    copies = []
+    for vessel, waveform in zip(vessels, waveforms, strict=False):
+        copies.append((vessel, before[vessel, waveform]))
+        before[vessel, waveform] += 1
+    shapes, inlets = list(dict.fromkeys(copies)), list(dict.fromkeys(waveforms))
+    return {
+        "geometry": [shapes.index(copy) for copy in copies],
+        "waveform": [inlets.index(waveform) for waveform in waveforms],
+    }
 
 
 def check(
@@ -65,29 +117,41 @@ def check(
     n_cases = len(area)
     for i, k in np.argwhere(area <= 0.0)[:1]:
         raise InputError(f"area_undeformed[{i}, {k}] = {area[i, k]:g} cm² is not positive.")
+    waveforms = all_of(Waveform, "waveforms", waveforms)
+    if len(waveforms) != n_cases:
+        raise InputError(f"There are {len(waveforms)} waveforms for {n_cases} cases.")
+    table = _labels(points, area, labels)
     ratio = np.exp(np.abs(np.diff(np.log(area), axis=1)))
     for i, k in np.argwhere(ratio > _LARGEST_AREA_RATIO)[:1]:
         raise InputError(
-            f"The grid is too coarse: area_undeformed of case {i} changes {ratio[i, k]:.1f}-fold "
+            f"The grid is too coarse: area_undeformed of {named(i, table)} changes "
+            f"{ratio[i, k]:.2f}-fold "
             f"between z = {points[k]:g} and {points[k + 1]:g} cm, {_LARGEST_AREA_RATIO:g}-fold at "
             "most can be resolved; use more points."
         )
-    period = _period(waveforms, n_cases)
-    all_stenoses = [()] * n_cases if stenoses is None else stenoses
+    period = _period(waveforms)
+    if not isinstance(stenoses, Iterable | None):
+        raise InputError(f"stenoses must be a sequence for every case, got {stenoses!r}.")
+    all_stenoses = [()] * n_cases if stenoses is None else list(stenoses)
     if len(all_stenoses) != n_cases:
         raise InputError(f"stenoses has {len(all_stenoses)} entries for {n_cases} cases.")
-    _check_steps(tube, points, area, waveforms)
+    narrowings = [
+        all_of(Stenosis, f"stenoses[{i}]", several) for i, several in enumerate(all_stenoses)
+    ]
+    _check_steps(tube, points, area, waveforms, table)
 
-    rest = tube.wall.reference_pressure if initial_pressure is None else initial_pressure
+    rest = tube.wall.reference_pressure
+    if initial_pressure is not None:
+        rest = finite("initial_pressure", initial_pressure, "dyn/cm²")
     with np.errstate(divide="ignore"):
         area_at_rest = tube.wall.area(rest, area)
-    slope = tube.wall.pressure_slope(area_at_rest, area)
-    if not (np.isfinite(slope) & (slope > 0.0)).all() or not math.isfinite(rest):
-        raise InputError(f"initial_pressure = {rest!r} dyn/cm² is outside the wall law's range.")
-    if not np.allclose(tube.wall.pressure(area_at_rest, area), rest, atol=1.0):
+    if not (np.isfinite(area_at_rest) & (area_at_rest > 0.0)).all():
         raise InputError(f"initial_pressure = {rest:g} dyn/cm² would collapse or burst the wall.")
+    slope = tube.wall.pressure_slope(area_at_rest, area)
+    if not (np.isfinite(slope) & (slope > 0.0)).all():
+        raise InputError(f"initial_pressure = {rest:g} dyn/cm² is outside the wall law's range.")
 
-    viscous, turbulent = _losses(tube, points, area, all_stenoses)
+    viscous, turbulent = _losses(tube, points, area, narrowings, table)
     return Problem(
         points,
         area,
@@ -95,9 +159,9 @@ def check(
         _outlet(outlet, n_cases),
         viscous,
         turbulent,
-        float(rest),
+        rest,
         period,
-        _labels(points, area, labels),
+        table,
     )
 
 
@@ -105,6 +169,12 @@ def _labels(
     z: Array, area_undeformed: Array, labels: pd.DataFrame | Mapping[str, Any] | None
 ) -> pd.DataFrame:
     """Labels as the data set wants them, found wrong now rather than after computing."""
+    for name in _OWN_LABELS:
+        if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
+            raise InputError(
+                f"labels has a column named {name!r}, as the solver names one that it adds; leave "
+                "it out or give it another name."
+            )
     instants = 4
     area = np.repeat(area_undeformed[:, None], instants, axis=1)
     with warnings.catch_warnings():
@@ -116,12 +186,10 @@ def _labels(
 
 
 def _finite(name: str, values: npt.ArrayLike) -> Array:
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of numbers: {error}.") from error
+    array = real_array(name, values)
     for index in np.argwhere(~np.isfinite(array))[:1]:
-        raise InputError(f"{name}{index.tolist()} is {array[tuple(index)]}; it must be finite.")
+        place = index.tolist() if array.ndim else ""
+        raise InputError(f"{name}{place} is {array[tuple(index)]}; it must be finite.")
     return array
 
 
@@ -141,12 +209,8 @@ def _points(z: npt.ArrayLike) -> Array:
     return points
 
 
-def _period(waveforms: Sequence[Waveform], n_cases: int) -> float:
-    if len(waveforms) != n_cases:
-        raise InputError(f"There are {len(waveforms)} waveforms for {n_cases} cases.")
+def _period(waveforms: Sequence[Waveform]) -> float:
     for i, waveform in enumerate(waveforms):
-        if not isinstance(waveform, Waveform):
-            raise InputError(f"waveforms[{i}] must be a Waveform, got {type(waveform).__name__}.")
         if not math.isclose(waveform.period, waveforms[0].period, rel_tol=1e-12):
             raise InputError(
                 f"waveforms[{i}] has a period of {waveform.period:g} s, waveforms[0] of "
@@ -156,7 +220,11 @@ def _period(waveforms: Sequence[Waveform], n_cases: int) -> float:
 
 
 def _check_steps(
-    tube: Tube1D, z: Array, area_undeformed: Array, waveforms: Sequence[Waveform]
+    tube: Tube1D,
+    z: Array,
+    area_undeformed: Array,
+    waveforms: Sequence[Waveform],
+    labels: pd.DataFrame,
 ) -> None:
     """Refuse a time step or a flow that the scheme is not made for."""
     for i, waveform in enumerate(waveforms):
@@ -172,7 +240,7 @@ def _check_steps(
         narrowest = int(np.argmin(area_undeformed[i]))
         smallest = area_undeformed[i, narrowest]
         speed = peak / smallest
-        where = f"case {i} at z = {z[narrowest]:g} cm"
+        where = f"{named(i, labels)} at z = {z[narrowest]:g} cm"
         wave_speed = float(tube.wall.wave_speed(smallest, smallest, tube.density))
         if speed >= wave_speed:
             raise InputError(
@@ -182,6 +250,12 @@ def _check_steps(
 
 
 def _outlet(outlet: Windkessel, n_cases: int) -> tuple[Array, ...]:
+    from pcnde_bridge.tube1d import Windkessel
+
+    if not isinstance(outlet, Windkessel):
+        raise InputError(
+            f"outlet must be a Windkessel, got {outlet!r}; Windkessel(R) is a resistance."
+        )
     values = []
     for name in ("resistance", "distal_resistance", "capacitance", "distal_pressure"):
         value = _finite(f"outlet.{name}", getattr(outlet, name))
@@ -198,7 +272,11 @@ def _outlet(outlet: Windkessel, n_cases: int) -> tuple[Array, ...]:
 
 
 def _losses(
-    tube: Tube1D, z: Array, area_undeformed: Array, stenoses: Sequence[Sequence[Stenosis]]
+    tube: Tube1D,
+    z: Array,
+    area_undeformed: Array,
+    stenoses: Sequence[Sequence[Stenosis]],
+    labels: pd.DataFrame,
 ) -> tuple[Array, Array]:
     """Loss of pressure per length around each face, per Q and per Q·|Q|.
 
@@ -220,16 +298,17 @@ def _losses(
     turbulent = np.zeros_like(viscous)
     for i, several in enumerate(stenoses):
         for stenosis in several:
-            if stenosis.start < z[0] + dz / 2 or stenosis.end > z[-1]:
+            if tube.stenosis_loss != "none" and not fits(stenosis, z):
                 raise InputError(
-                    f"A stenosis of case {i} reaches from {stenosis.start:g} to {stenosis.end:g} "
-                    f"cm, too close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
+                    f"A stenosis of {named(i, labels)} reaches from {stenosis.start:g} to "
+                    f"{stenosis.end:g} cm, too close to the ends of the tube ({z[0]:g} … "
+                    f"{z[-1]:g} cm)."
                 )
             if stenosis.length < 4 * dz:
                 raise InputError(
-                    f"The grid is too coarse: the stenosis of case {i} at {stenosis.position:g} "
-                    f"cm is {stenosis.length:g} cm long, less than 4 cells of {dz:g} cm; use more "
-                    "points."
+                    f"The grid is too coarse: the stenosis of {named(i, labels)} at "
+                    f"{stenosis.position:g} cm is {stenosis.length:g} cm long, less than 4 cells "
+                    f"of {dz:g} cm; use more points."
                 )
         if tube.stenosis_loss == "none":
             continue
@@ -242,11 +321,18 @@ def _losses(
             if tube.stenosis_loss == "effective_length":
                 length = effective_length(length, throat)
             spread = _spread(left, right, stenosis)
-            viscous[i] += spread * viscous_drop(1.0, healthy, throat, length, tube.viscosity)
+            drop = viscous_drop(1.0, healthy, throat, length, tube.viscosity)
+            viscous[i] += spread * drop * tube.friction_ratio
             turbulent[i] += spread * turbulent_drop(
                 1.0, healthy, throat, tube.density, tube.turbulent_coefficient
             )
     return viscous, turbulent
+
+
+def fits(stenosis: Stenosis, z: Array) -> bool:
+    """Whether the loss of a stenosis falls on faces that balance momentum."""
+    dz = (z[-1] - z[0]) / (len(z) - 1)
+    return bool(stenosis.start >= z[0] + dz / 2 and stenosis.end <= z[-1])
 
 
 def _share(left: Array, right: Array, stenosis: Stenosis) -> Array:

@@ -14,6 +14,8 @@ from pcnde_bridge.errors import SolveError
 from pcnde_bridge.wall import LinearWall, OlufsenWall
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pcnde_bridge.tube1d import Tube1D
     from pcnde_bridge.tube1d.problem import Problem
 
@@ -44,7 +46,7 @@ class _State(NamedTuple):
     now: _Fields
     slope: _Fields
     inflow: Any  # volume that came in less what went out in this cycle (case,)
-    broken: Any  # step and cell at which a case failed, or −1 (case, 2)
+    broken: Any  # step and point at which a case failed, or −1 (case, 2)
 
 
 def run(tube: Tube1D, problem: Problem) -> tuple[list[Array], list[Array] | None, Array]:
@@ -89,19 +91,25 @@ def run(tube: Tube1D, problem: Problem) -> tuple[list[Array], list[Array] | None
     return last, previous or None, volume_balance
 
 
+def named(case: int, labels: pd.DataFrame) -> str:
+    """Name a case in a message."""
+    known = ", ".join(f"{name} {labels[name][case]}" for name in ("geometry", "waveform"))
+    return f"case {case} ({known})"
+
+
 def _refuse_broken(broken: Array, cycle: int, tube: Tube1D, problem: Problem) -> None:
     failed = np.flatnonzero(broken[:, 0] >= 0)
     if not len(failed):
         return
     case = int(failed[np.argmin(broken[failed, 0])])
-    step, cell = (int(v) for v in broken[case])
+    step, point = (int(v) for v in broken[case])
     time = cycle * problem.period + (step + 1) * problem.period / tube.steps
-    named = ", ".join(f"{k} {problem.labels[k][case]}" for k in ("geometry", "waveform"))
     others = f" ({len(failed)} of {len(broken)} cases diverged)" if len(failed) > 1 else ""
     raise SolveError(
-        f"Case {case} ({named}) diverged at t = {time:.4g} s, near z = {problem.z[cell]:.4g} cm"
-        f"{others}: the wall collapsed or the flow found no balance there. Check its inlet flow, "
-        "wall stiffness and outlet, or use more steps per cycle."
+        f"{named(case, problem.labels).capitalize()} diverged at t = {time:.4g} s, "
+        f"near z = {problem.z[point]:.4g} cm{others}: the wall collapsed or the flow found no "
+        "balance there. Check its inlet flow, wall stiffness and outlet, or use more steps per "
+        "cycle."
     )
 
 
@@ -133,6 +141,10 @@ def _compiled_cycle(
             """Implicit p_c of a stage, from its explicit part and the outflow."""
             return (delay * pressure + own * (pressure_d + distal * flow)) / (delay + own)
 
+        def outlet_pressure(flow: Any, capacitor_part: Any) -> Any:
+            q = flow[:, -1]
+            return (capacitor(capacitor_part, q) + proximal * q)[:, None]
+
         def balance(flow: Any, area: Any, capacitor_part: Any) -> tuple[Any, ...]:
             """∂Q/∂t on the faces behind the inlet, and its derivatives by the flows.
 
@@ -149,9 +161,10 @@ def _compiled_cycle(
 
             # What lies behind a face: the next cell, or the outlet, which follows from q.
             q_out = q[:, -1:]
-            p_out = (capacitor(capacitor_part, q[:, -1]) + proximal * q[:, -1])[:, None]
+            p_out = outlet_pressure(flow, capacitor_part)
             p_out_q = (proximal + own * distal / (delay + own))[:, None]
-            s_out = wall.area(p_out, end[:, None])
+            # Beyond the end of the wall law S < 0. Newton's method may pass there, not stay.
+            s_out = jnp.abs(wall.area(p_out, end[:, None]))
             s_out_q = p_out_q / wall.pressure_slope(s_out, end[:, None])
             m_out = q_out**2 / s_out
 
@@ -189,12 +202,22 @@ def _compiled_cycle(
             next_face = -inert * m_b_next - stiff * p_b_next + rate_s * s_behind * s_b_next
             return rate, before, own_face, next_face + diffusion
 
-        def solve(known: _Fields, q_in: Any, guess: Any) -> Any:
-            """Solve y = known + own·f(y) for the flows; the areas follow from them."""
+        def solve(known: _Fields, q_in: Any, guesses: Any) -> Any:
+            """Solve y = known + own·f(y) for the flows; the areas follow from them.
+
+            Where one guess leads nowhere, Newton's method starts again from the next.
+            Also returned: whether each case was solved, and the place where it was not.
+            """
 
             def unfold(q: Any) -> Any:
                 flow = jnp.concatenate([q_in[:, None], q], axis=1)
                 return flow, known.area - k * jnp.diff(flow, axis=1)
+
+            def stretch(q: Any) -> Any:
+                """S/S_u of the cells and at the outlet, not positive where the wall gave way."""
+                flow, area = unfold(q)
+                outlet = wall.area(outlet_pressure(flow, known.capacitor), end[:, None])
+                return jnp.concatenate([area / cells, outlet / end[:, None]], axis=1)
 
             def newton(carry: Any) -> Any:
                 q, _, iteration = carry
@@ -207,7 +230,8 @@ def _compiled_cycle(
                     (-own * next_face).at[:, -1].set(0.0),
                     -residual[:, :, None],
                 )[:, :, 0]
-                q = q + update
+                # A case that comes to nothing stays where it gave way.
+                q = jnp.where(jnp.isfinite(update).all(axis=1, keepdims=True), q + update, q)
                 # Relative to the case's own flow.
                 scale = jnp.abs(q).max(axis=1, keepdims=True) + 1e-3
                 return q, jnp.abs(update) / scale, iteration + 1
@@ -216,12 +240,25 @@ def _compiled_cycle(
                 _, update, iteration = carry
                 return (iteration < _MAX_NEWTON) & jnp.any(update.max(axis=1) > _NEWTON_TOLERANCE)
 
-            start = (guess, jnp.full_like(guess, jnp.inf), 0)
-            q, update, _ = jax.lax.while_loop(unfinished, newton, start)
+            def search(best: Any, guess: Any) -> Any:
+                q, _, solved = best
+                start = jnp.where(solved, q, guess)
+                update = jnp.where(solved, 0.0, jnp.full_like(q, jnp.inf))
+                found, update, _ = jax.lax.while_loop(unfinished, newton, (start, update, 0))
+                q = jnp.where(solved, q, found)
+                # NaN compares false, so that it counts as bad.
+                good = (update <= _NEWTON_TOLERANCE).all(axis=1) & (stretch(q) > 0.0).all(axis=1)
+                return (q, update, solved | good[:, None]), None
+
+            start = guesses[0], guesses[0], jnp.zeros((len(cells), 1), bool)
+            (q, update, good), _ = jax.lax.scan(search, start, guesses)
             flow, area = unfold(q)
-            # NaN compares false, so that it counts as bad.
-            good = (area > 0.0) & (update <= _NEWTON_TOLERANCE)
-            return _Fields(area, flow, capacitor(known.capacitor, q[:, -1])), good.all(axis=1)
+            # Where the wall gave way, or else where the flow found no balance.
+            ratio = stretch(q)
+            gave_way = ~((ratio > 0.0).all(axis=1) & jnp.isfinite(update).all(axis=1))
+            place = jnp.where(gave_way, ratio.argmin(axis=1), update.argmax(axis=1))
+            found = _Fields(area, flow, capacitor(known.capacitor, q[:, -1]))
+            return found, good[:, 0], place
 
         # Of both implicit stages: how the slopes at the start of the step and at the
         # stage before weigh in, and the time since the stage before.
@@ -242,20 +279,20 @@ def _compiled_cycle(
                     slope,
                 )
                 # As if the tube were rigid, its whole flow follows the inlet's: a guess
-                # that holds for a sudden start, too.
+                # that holds for a sudden start, too.  In a soft tube the flow lags behind.
                 guess = before.flow + time * slope.flow
                 guess = guess[:, 1:] + (q_in[:, None] - guess[:, :1])
-                found, good = solve(known, q_in, guess)
+                guesses = jnp.stack([guess, before.flow[:, 1:]])
+                found, good, place = solve(known, q_in, guesses)
                 slope = jax.tree.map(lambda y, y_known: (y - y_known) / own, found, known)
-                return (found, slope), (good, net_inflow(found))
+                return (found, slope), (good, place, net_inflow(found))
 
-            (now, slope), (good, net) = jax.lax.scan(
+            (now, slope), (good, places, net) = jax.lax.scan(
                 stage, (state.now, state.slope), (weigh_start, weigh_before, elapsed, q_in)
             )
             inflow = state.inflow + w * (net_inflow(state.now) + net[0]) + own * net[1]
-            # The place of a failure: where the state before it was strained most.
-            strain = jnp.abs(jnp.log(jnp.abs(state.now.area / cells)))
-            place = jnp.stack([jnp.full(len(cells), number), jnp.argmax(strain, axis=1)], axis=1)
+            place = jnp.where(good[0], places[1], places[0])
+            place = jnp.stack([jnp.full(len(cells), number), place], axis=1)
             first = ~good.all(axis=0) & (state.broken[:, 0] < 0)
             broken = jnp.where(first[:, None], place, state.broken)
             return _State(now, slope, inflow, broken), None
