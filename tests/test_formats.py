@@ -40,6 +40,7 @@ from pcnde_bridge.formats import (
     write_pvd,
     write_vtp,
 )
+from pcnde_bridge.formats.units import FACTORS
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
@@ -132,6 +133,43 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
     expected = to_cases([vessel])
     for name in (*VARIABLES, "area_undeformed", "time", "z"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12)
+
+
+IN_CGS = {
+    ("flow", "mL/s"): 1,
+    ("flow", "cm^3/s"): 1,
+    ("flow", "mm^3/s"): 0.001,
+    ("flow", "m^3/s"): 1_000_000,
+    ("flow", "mL/min"): 0.016666666666666667,
+    ("flow", "L/min"): 16.666666666666667,
+    ("area", "cm^2"): 1,
+    ("area", "mm^2"): 0.01,
+    ("area", "m^2"): 10_000,
+    ("pressure", "dyn/cm^2"): 1,
+    ("pressure", "Pa"): 10,
+    ("pressure", "kPa"): 10_000,
+    ("pressure", "mmHg"): 1333.22,
+    ("z", "cm"): 1,
+    ("z", "mm"): 0.1,
+    ("z", "m"): 100,
+    ("time", "s"): 1,
+    ("time", "ms"): 0.001,
+}
+"""What one of each unit is in mL/s, cm², dyn/cm², cm or s."""
+
+
+def test_the_factor_of_every_unit_is_tested():
+    assert {(name, unit) for name, units in FACTORS.items() for unit in units} == set(IN_CGS)
+
+
+@pytest.mark.parametrize(("name", "unit"), IN_CGS)
+def test_every_unit(vessel, name, unit):
+    of_it = (name, "area_undeformed") if name == "area" else (name,)
+    other = {array: getattr(vessel, array) / IN_CGS[name, unit] for array in of_it}
+    found, expected = to_cases([replaced(vessel, **other)], units={name: unit}), to_cases([vessel])
+    for array in (*VARIABLES, "area_undeformed", "time", "z"):
+        np.testing.assert_allclose(getattr(found, array), getattr(expected, array), rtol=1e-12)
+    assert found.period == pytest.approx(expected.period, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", [*VARIABLES, "z"])

@@ -1,4 +1,8 @@
-"""Files of other programs: results in, predictions out; one file for each format."""
+"""Files of other programs: results in, predictions out; one file for each format.
+
+What all readers share stands in :mod:`~pcnde_bridge.formats.results`, and for it in
+:mod:`~pcnde_bridge.formats.units` and :mod:`~pcnde_bridge.formats.resampling`.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,8 @@ import numpy.typing as npt
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import as_paths, check_file
-from pcnde_bridge.formats.results import UNITS, CaseOptions, VesselResults, to_cases
+from pcnde_bridge.formats.results import CaseOptions, VesselResults, to_cases
+from pcnde_bridge.formats.units import FACTORS, stated_units
 from pcnde_bridge.h5 import read_dataset
 from pcnde_bridge.variables import VARIABLES
 
@@ -37,7 +39,7 @@ def read_hdf5(
         Files with the data sets ``flow``, ``area`` and ``pressure`` of shape (time, z)
         or (case, time, z), ``area_undeformed`` of shape (z,) or (case, z), ``time`` and
         ``z``; ``period`` and ``labels/…`` if they are there.  An attribute ``units`` of
-        a data set counts.
+        a data set counts where the option ``units`` says nothing.
     names : mapping, optional
         Paths of data sets of another name: ``{"flow": "/results/Q"}``.
     **options
@@ -58,14 +60,19 @@ def read_hdf5(
     InputError
         If data sets are missing, or units, flow or time steps are doubtful.
     """
-    if unknown := sorted(set(names or ()) - set(NAMES)):
+    places = dict(names or {})
+    if unknown := sorted(set(places) - set(NAMES)):
         raise InputError(f"names has {unknown}; it can name {list(NAMES)}.")
+    for name, place in places.items():
+        if not isinstance(place, str):
+            raise InputError(f"names[{name!r}] must be the path of a data set, got {place!r}.")
+    stated = set(stated_units(options.get("units")))
     return to_cases(
-        [vessel for path in as_paths(paths) for vessel in _read(path, names or {})], **options
+        [vessel for path in as_paths(paths) for vessel in _read(path, places, stated)], **options
     )
 
 
-def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
+def _read(path: Path, names: Mapping[str, str], stated: set[str]) -> list[VesselResults]:
     import h5py
 
     check_file(path, "an HDF5 file")
@@ -79,8 +86,7 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
                 values = read_dataset(file, place)
                 if values is not None:
                     arrays[name] = values
-                    unit = file[place].attrs.get("units", "")
-                    units[name] = unit.decode() if isinstance(unit, bytes) else str(unit)
+                    units[name] = _text(file[place].attrs.get("units", ""))
             group = file.get("labels")
             for name in group if isinstance(group, h5py.Group) else ():
                 values = read_dataset(file, f"labels/{name}")
@@ -93,19 +99,38 @@ def _read(path: Path, names: Mapping[str, str]) -> list[VesselResults]:
             f"{path} lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} "
             f"(--names {absent[0]}=path)."
         )
-    return _vessels(path, arrays, labels, _known_units(path, units))
+    return _vessels(path, arrays, labels, _known_units(path, units, stated))
 
 
-def _known_units(path: Path, units: Mapping[str, str]) -> dict[str, str]:
-    """Return the units that the file states, by what they are of."""
+def _text(attribute: Any) -> str:
+    """Return an attribute that is a text, or an array of one, however it is stored."""
+    value = np.asarray(attribute).item() if np.size(attribute) == 1 else attribute
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _known_units(path: Path, units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
+    """Return the units that the file states, by what they are of, unless the caller does."""
     found: dict[str, str] = {}
-    for name, unit in units.items():
+    for name, text in units.items():
         of = {"area_undeformed": "area", "period": "time"}.get(name, name)
-        if unit and unit not in UNITS[of]:
-            raise InputError(f"{path}: {name} has the unknown unit {unit!r}.")
-        if unit and found.setdefault(of, unit) != unit:
+        unit = _usual_spelling(text)
+        if not unit or of in stated:
+            continue
+        if unit not in FACTORS[of]:
+            raise InputError(
+                f"{path}: {name} has the unknown unit {text!r}; known are {list(FACTORS[of])}. "
+                f"Say which it is, units={{'{of}': …}} (--units {of}=…), or units='cgs' "
+                "(--units cgs) if all are CGS units."
+            )
+        if found.setdefault(of, unit) != unit:
             raise InputError(f"{path}: {name} is in {unit}, but there is also {found[of]}.")
     return found
+
+
+def _usual_spelling(unit: str) -> str:
+    """Return ``cm^3/s`` for ``cm3/s``, ``cm³/s`` or ``cm**3 / s``, and ``mL/s`` for ``ml/s``."""
+    plain = "".join(unit.split()).replace("²", "2").replace("³", "3").replace("**", "^")
+    return re.sub(r"\b(m?)l\b", r"\1L", re.sub(r"(?<=[a-z])(?=\d)", "^", plain))
 
 
 def _vessels(

@@ -10,10 +10,11 @@ junction), ``CenterlineSectionArea`` the area of the cross-section of the mesh.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
@@ -21,12 +22,14 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge._version import __version__
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.extras import require
 from pcnde_bridge.files import as_paths, atomic_write, make_folder
 from pcnde_bridge.formats.results import Array, CaseOptions, VesselResults, to_cases
 from pcnde_bridge.formats.vtp import read_lines
+from pcnde_bridge.validation import positive
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
 
 _STEP = re.compile(r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)")
 _LABEL = "labels/"
+_WRITER = "pcnde_bridge"  # array that tells our own files from those of others
 
 
 def read_simvascular(
@@ -66,8 +70,9 @@ def read_simvascular(
     Returns
     -------
     Cases
-        z counts from the first point of the branch.  The undeformed area is the
-        array ``area_undeformed``, or else ``CenterlineSectionArea``, or ``area``.
+        z counts from the first point of the branch, along ``Path`` or, without it, along
+        the file's lines.  The undeformed area is the array ``area_undeformed``, or else
+        ``CenterlineSectionArea``, or ``area``.
 
     Raises
     ------
@@ -88,7 +93,7 @@ def _read_vessel(
 ) -> VesselResults:
     points, lines, arrays, facts = read_lines(path)
     chosen = _branch(path, arrays, lines, len(points), branch)
-    z = _distance(points[chosen], arrays.get("Path"), chosen)
+    z = _distance(points, arrays, chosen)
     steps = _steps(path, arrays)
     times = _times(path, list(steps["pressure"]), time_step)
     fields = {
@@ -96,6 +101,7 @@ def _read_vessel(
         for name, named in steps.items()
     }
     order = np.argsort(times)
+    period = facts.get("period")
     undeformed = next(
         (n for n in ("area_undeformed", "CenterlineSectionArea", "area") if n in arrays), None
     )
@@ -125,7 +131,7 @@ def _read_vessel(
             for name, value in facts.items()
             if name.startswith(_LABEL)
         },
-        period=facts.get("period"),
+        period=None if isinstance(period, str) else period,
     )
 
 
@@ -136,18 +142,17 @@ def _branch(
     n: int,
     branch: int | None,
 ) -> npt.NDArray[np.intp]:
-    """Return the points of the vessel, in the order of the file."""
+    """Return the points of the vessel, from its inlet on."""
     if "BranchId" not in arrays:
         if branch is not None:
             raise InputError(f"{path} has no array BranchId: leave branch out.")
-        row = np.concatenate([*lines[:1], *(line[1:] for line in lines[1:]), np.empty(0)])
-        joined = all(a[-1] == b[0] for a, b in itertools.pairwise(lines))
-        if not joined or not np.array_equal(row, np.arange(n)):
+        found = _along(lines, np.arange(n))
+        if found is None:
             raise InputError(
                 f"{path} has no array BranchId, and its points are not one line from an inlet to "
                 "an outlet. Extract the centreline of one vessel, or one with BranchId."
             )
-        return np.arange(n)
+        return found
     ids = _scalar(path, arrays, "BranchId")
     there = sorted({int(i) for i in ids if i >= 0})
     if branch is None:
@@ -159,13 +164,45 @@ def _branch(
         branch = there[0]
     elif branch not in there:
         raise InputError(f"{path} has no branch {branch!r}; its branches are {there}.")
-    return np.flatnonzero(ids == branch)
+    chosen = np.flatnonzero(ids == branch)
+    if _has_path(arrays):
+        return chosen[np.argsort(arrays["Path"][chosen], kind="stable")]
+    found = _along(lines, chosen)
+    if found is None:
+        raise InputError(
+            f"{path} has no array Path, and no line that runs once through all points of branch "
+            f"{branch}: their order along the vessel is not known. Export the centreline with "
+            "Path, as svSlicer writes it, or with its lines."
+        )
+    return found
 
 
-def _distance(points: Array, along: Array | None, chosen: npt.NDArray[np.intp]) -> Array:
-    if along is not None and along.ndim == 1:
-        return np.asarray(along[chosen] - along[chosen][:1])
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+def _has_path(arrays: Mapping[str, Array]) -> bool:
+    return "Path" in arrays and arrays["Path"].ndim == 1
+
+
+def _along(
+    lines: list[npt.NDArray[np.int64]], chosen: npt.NDArray[np.intp]
+) -> npt.NDArray[np.intp] | None:
+    """Return the points in the order in which the lines run through them, if it is one."""
+    wanted = set(chosen.tolist())
+    pairs = {pair for line in lines for pair in itertools.pairwise(line.tolist())}
+    after = {one: other for one, other in pairs if {one, other} <= wanted}
+    starts = wanted.difference(after.values())
+    if len(starts) != 1 or len(set(after.values())) != len(wanted) - 1:
+        return None  # it forks, or has a gap, or is closed
+    order = [starts.pop()]
+    while order[-1] in after:
+        order.append(after[order[-1]])
+    return np.array(order, dtype=np.intp) if len(order) == len(wanted) else None
+
+
+def _distance(points: Array, arrays: Mapping[str, Array], chosen: npt.NDArray[np.intp]) -> Array:
+    if _has_path(arrays):
+        along = arrays["Path"][chosen]
+        return np.asarray(along - along[:1])
+    steps = np.linalg.norm(np.diff(points[chosen], axis=0), axis=1)
+    return np.append(0.0, np.cumsum(steps))
 
 
 def _steps(path: Path, arrays: Mapping[str, Array]) -> dict[str, dict[str, str]]:
@@ -211,9 +248,7 @@ def _times(path: Path, steps: list[str], time_step: float | None) -> Array:
             f"{path} names its arrays by time step, such as pressure_{steps[0]}: pass the "
             "simulation's time step, time_step= (--time-step), in s."
         )
-    if not (np.isfinite(time_step) and time_step > 0):
-        raise InputError(f"time_step must be a positive number of seconds, got {time_step!r}.")
-    return numbers * time_step
+    return numbers * positive("time_step", time_step, "s")
 
 
 def _scalar(path: Path, arrays: Mapping[str, Array], name: str) -> Array:
@@ -240,7 +275,7 @@ def write_vtp(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
         Of one or many cases.
     path : path-like
         Ends in ``.vtp``.  Of many cases, each gets a file of its own with its number:
-        ``name_000.vtp``, ….
+        ``name_000.vtp``, ….  Further such files of an earlier prediction are removed.
 
     Returns
     -------
@@ -259,9 +294,12 @@ def write_vtp(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
     names = [target]
     if len(prediction) > 1:
         names = [_numbered(target, case) for case in range(len(prediction))]
-    for name, content in zip(names, contents, strict=True):
-        with atomic_write(name) as temporary:
-            temporary.write_bytes(content)
+    with contextlib.ExitStack() as all_or_none:
+        for name, content in zip(names, contents, strict=True):
+            all_or_none.enter_context(atomic_write(name)).write_bytes(content)
+    _remove_earlier(
+        target.parent, rf"{re.escape(target.stem)}_\d{{3,}}{re.escape(target.suffix)}", names
+    )
     return names
 
 
@@ -274,6 +312,7 @@ def write_pvd(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
         Its cases become the parts of each time step.
     path : path-like
         Ends in ``.pvd``; it names the others, which lie in a folder of the same name.
+        Further such files of an earlier prediction are removed.
 
     Returns
     -------
@@ -300,22 +339,38 @@ def write_pvd(prediction: Prediction, path: str | os.PathLike[str]) -> list[Path
         f"file={quoteattr(f'{folder.name}/{name.name}')}/>"
         for case, step, name in steps
     ]
-    with atomic_write(target) as temporary:
-        make_folder(folder)
-        for (_, _, name), content in zip(steps, contents, strict=True):
-            with atomic_write(name) as part:
-                part.write_bytes(content)
-        temporary.write_text(
+    with contextlib.ExitStack() as all_or_none:
+        all_or_none.enter_context(atomic_write(target)).write_text(
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'
             + "\n".join(rows)
             + "\n</Collection></VTKFile>\n",
             encoding="utf-8",
         )
+        make_folder(folder)
+        for (_, _, name), content in zip(steps, contents, strict=True):
+            all_or_none.enter_context(atomic_write(name)).write_bytes(content)
+    pattern = rf"{re.escape(target.stem)}_\d{{3,}}_\d{{4,}}\.vtp"
+    _remove_earlier(folder, pattern, [name for _, _, name in steps])
     return [target, *(name for _, _, name in steps)]
 
 
 def _numbered(path: Path, case: int) -> Path:
     return path.with_name(f"{path.stem}_{case:03d}{path.suffix}")
+
+
+def _remove_earlier(folder: Path, pattern: str, written: Collection[Path]) -> None:
+    """Remove our own files of an earlier prediction, lest they be read as part of this one."""
+    kept = {path.name for path in written}
+    for path in folder.iterdir():
+        if path.name in kept or not re.fullmatch(pattern, path.name):
+            continue
+        try:
+            if f'Name="{_WRITER}"'.encode() in path.read_bytes():
+                path.unlink()
+        except OSError as error:
+            raise FileError(
+                f"Cannot remove {path}, which is of an earlier prediction: {error}."
+            ) from error
 
 
 def _polydata(prediction: Prediction, case: int, step: int | None) -> bytes:
@@ -348,7 +403,7 @@ def _polydata(prediction: Prediction, case: int, step: int | None) -> bytes:
         array.SetName(name)
         data.GetPointData().AddArray(array)
     facts = {f"{_LABEL}{name}": value for name, value in prediction.labels.iloc[case].items()}
-    for name, value in {"period": prediction.period, **facts}.items():
+    for name, value in {"period": prediction.period, _WRITER: __version__, **facts}.items():
         if isinstance(value, str):
             array = core.vtkStringArray()
             array.InsertNextValue(value)

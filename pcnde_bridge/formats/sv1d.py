@@ -41,7 +41,7 @@ class _Segment:
 def read_sv1d(
     paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
-    segments: Sequence[str] | None = None,
+    segments: str | Sequence[str] | None = None,
     **options: Unpack[CaseOptions],
 ) -> Cases:
     """Read results of svOneDSolver.
@@ -50,7 +50,7 @@ def read_sv1d(
     ----------
     paths : path-like or sequence of them
         Input files of the solver (``.in``), one for each case; the results lie beside.
-    segments : sequence of str, optional
+    segments : str or sequence of str, optional
         Names of the segments that make the vessel, from the inlet on, each beginning
         where the one before ends.  By default all, if they are such a chain.
     **options
@@ -78,7 +78,8 @@ def read_sv1d(
             "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
             "(--period), in s, and their last cycle is taken."
         )
-    return to_cases([_read_vessel(path, segments) for path in as_paths(paths)], **options)
+    wanted = [segments] if isinstance(segments, str) else segments
+    return to_cases([_read_vessel(path, wanted) for path in as_paths(paths)], **options)
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
@@ -121,8 +122,9 @@ def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
     model, step = None, None
     segments: dict[str, _Segment] = {}
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        # Comments come in any encoding, and some editors put a mark before UTF-8.
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
         raise FileError(f"{path} is not a readable text file: {error}.") from error
     for number, line in enumerate(lines, start=1):
         words = line.partition("#")[0].split()

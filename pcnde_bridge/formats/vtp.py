@@ -122,11 +122,16 @@ def _shaped(
 
 def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
     facts: dict[str, Any] = {}
-    for item in (*root.findall("PolyData/FieldData/DataArray"), *root.findall(
-        "PolyData/FieldData/Array"
-    )):  # fmt: skip
-        name, values = item.attrib["Name"], decode(item)
-        if item.attrib["type"] == "String":
+    items = [
+        *root.findall("PolyData/FieldData/DataArray"),
+        *root.findall("PolyData/FieldData/Array"),
+    ]
+    for item in items:
+        name, kind = item.attrib.get("Name"), item.attrib.get("type")
+        if name is None or kind not in (*_TYPES, "String"):
+            continue
+        values = decode(item)
+        if kind == "String":
             text = values.astype(np.uint8).tobytes()
             if text.count(b"\0") == 1 and text.endswith(b"\0"):
                 facts[name] = text[:-1].decode("utf-8")
@@ -144,7 +149,7 @@ class _Decoder:
         ]
         self._order = order
         self._header = np.dtype(order + _TYPES[attributes.get("header_type", "UInt32")])
-        self._unpack = _unpacker(attributes.get("compressor"))
+        self._compressor = attributes.get("compressor")
         tag, _, data = appended.partition(b">")
         self._encoded = b'encoding="raw"' not in tag
         self._appended = data.partition(b"_")[2]
@@ -172,7 +177,8 @@ class _Decoder:
         """Decode one array: its header of sizes, and the data."""
         width = self._header.itemsize
         first = int(self._numbers(_part(source, 0, width, encoded)[0])[0])
-        if self._unpack is None:
+        unpack = _unpacker(self._compressor)
+        if unpack is None:
             data, _ = _part(source, 0, width + first, encoded)
             return data[width:]
         # The header is a stream of its own: blocks, their size, that of the last, packed sizes.
@@ -185,8 +191,7 @@ class _Decoder:
         blocks, _ = _part(source, position, sum(packed), encoded)
         at = np.concatenate([[0], np.cumsum(np.array(packed, dtype=np.int64))]).tolist()
         out = [
-            self._unpack(blocks[a:b], whole)
-            for (a, b), whole in zip(pairwise(at), sizes, strict=True)
+            unpack(blocks[a:b], whole) for (a, b), whole in zip(pairwise(at), sizes, strict=True)
         ]
         return b"".join(out)
 
