@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import statistics
@@ -16,8 +17,9 @@ import numpy.typing as npt
 from pcnde_bridge._version import __version__
 from pcnde_bridge.baselines import Baseline
 from pcnde_bridge.cases import Cases
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.files import atomic_write
+from pcnde_bridge.files import write_json
 from pcnde_bridge.metrics import pooled_errors
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.synthetic import fewer_words
@@ -51,6 +53,31 @@ class Row:
     fit_seconds: float | None = None
     predict_ms_per_case: float | None = None
     reason: str | None = None
+
+
+def checkpoint_name(
+    train: Cases, config: PCNDEConfig | ClosureConfig, engine: str, seed: int
+) -> str:
+    """Name the checkpoint of a model by what is trained, so that it is never another run's.
+
+    Parameters
+    ----------
+    train : Cases
+        The training cases.
+    config : PCNDEConfig or ClosureConfig
+        Settings.
+    engine : str
+        As it was asked for: ``auto``, ``julia`` or ``jax``.
+    seed : int
+        Of the fit.
+
+    Returns
+    -------
+    str
+        ``bench-….checkpoint``.
+    """
+    key = json.dumps([train.fingerprint(), config.to_dict(), engine, seed])
+    return f"bench-{hashlib.sha256(key.encode()).hexdigest()[:12]}.checkpoint"
 
 
 def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
@@ -131,5 +158,4 @@ def write_rows(path: str | os.PathLike[str], rows: Iterable[Row], **facts: Any) 
         If the file cannot be written.
     """
     content = {**facts, "pcnde_bridge": __version__, "rows": [asdict(row) for row in rows]}
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_json(path, content)

@@ -19,8 +19,8 @@ from pcnde_bridge.config import PCNDEConfig, resolve_config
 from pcnde_bridge.engines import Engine, EngineName, select_engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.figures import outermost
-from pcnde_bridge.files import atomic_write, make_folder
-from pcnde_bridge.metrics import error_table, pooled_errors
+from pcnde_bridge.files import atomic_write, make_folder, write_json
+from pcnde_bridge.metrics import error_table, pooled, pooled_errors
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.synthetic import synthetic
@@ -134,7 +134,7 @@ def run_demo(
     train, test = data.split("paper")
     data.save(folder / "cases.npz")
     pairs = {"train": _keys(train), "test": _keys(test)}
-    _write_text(folder / "split.json", json.dumps(pairs) + "\n")
+    write_json(folder / "split.json", pairs, indent=None)
 
     state = folder / CHECKPOINT
     model = PCNDE.fit(
@@ -151,7 +151,7 @@ def run_demo(
     _write_predictions(folder, predictions["test"], test, model.history, truth_label)
     seconds = time.perf_counter() - began
     results = {"finished": True, "seconds": round(seconds, 1), "errors": errors}
-    _write_text(folder / MARK, json.dumps({**facts, **results}, indent=1) + "\n")
+    write_json(folder / MARK, {**facts, **results})
     return Demo(folder, model, errors, seconds)
 
 
@@ -180,7 +180,7 @@ def _claim(folder: Path, facts: dict[str, Any]) -> None:
             f"{folder} holds {', '.join(foreign)}, which no demo has written. Give another folder."
         )
     make_folder(folder)
-    _write_text(mark, json.dumps(facts, indent=1) + "\n")
+    write_json(mark, facts)
 
 
 def _keys(cases: Cases) -> list[list[int]]:
@@ -197,10 +197,7 @@ def _evaluate(
         name: error_table(predictions[name].variables(), cases) for name, cases in sets.items()
     }
     errors = {
-        "PCNDE": {
-            name: {str(k): float(v) for k, v in table.iloc[-1].items()}
-            for name, table in tables.items()
-        },
+        "PCNDE": {name: pooled(table) for name, table in tables.items()},
         "nothing happens": {
             name: pooled_errors(unchanged.predict(cases), cases) for name, cases in sets.items()
         },
@@ -227,11 +224,6 @@ def _write_predictions(
     figure = time_and_space(prediction, test, hardest, truth_label=truth_label)
     _write_figure(folder / "prediction.png", figure)
     _write_figure(folder / "history.png", loss_history(history))
-
-
-def _write_text(path: Path, text: str) -> None:
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _write_table(path: Path, table: pd.DataFrame) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import glob
 import hashlib
+import json
 import os
 import secrets
 import shutil
@@ -63,6 +64,27 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         if isinstance(error, OSError) and not isinstance(error, PCNDEError):
             raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
         raise
+
+
+def write_json(path: str | os.PathLike[str], data: Any, indent: int | None = 1) -> None:
+    """Write a JSON file, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file to write.
+    data : object
+        Whatever JSON can hold.
+    indent : int or None
+        Spaces of each level; None puts everything into one line.
+
+    Raises
+    ------
+    FileError
+        As :func:`atomic_write`.
+    """
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=indent) + "\n", encoding="utf-8")
 
 
 def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:

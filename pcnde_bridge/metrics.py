@@ -77,7 +77,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
         Indexed by ``geometry`` and ``waveform``, with a column for each variable;
         the last row, labelled ``("pooled", "pooled")``, pools all cases.
     """
-    pooled = pooled_errors(predicted, cases)
+    together = pooled_errors(predicted, cases)
     rows = [
         {
             variable: relative_error(
@@ -89,7 +89,23 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame([*rows, pooled], index=index)
+    return pd.DataFrame([*rows, together], index=index)
+
+
+def pooled(table: pd.DataFrame) -> dict[str, float]:
+    """Return the errors of all cases pooled from a table of :func:`error_table`.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Its last row pools all cases.
+
+    Returns
+    -------
+    dict
+        By variable, as :func:`pooled_errors` gives them.
+    """
+    return {str(variable): float(error) for variable, error in table.iloc[-1].items()}
 
 
 def coverage(intervals: Mapping[str, tuple[Array, Array]], cases: Cases) -> dict[str, float]:

@@ -21,9 +21,10 @@ from pcnde_bridge import (
     PCNDEWarning,
     SolveError,
     __version__,
-    cli,
 )
 from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge.bench import checkpoint_name
+from pcnde_bridge.cli.console import note, note_warning, say
 from pcnde_bridge.doctor import Finding
 
 
@@ -227,7 +228,7 @@ def test_fit_refuses_settings_that_do_not_fit_and_a_checkpoint_it_cannot_write(
         "fit", cases, *fit_options, "--out", out, "--checkpoint", tmp_path / "nowhere" / "c"
     )
     assert code == 2
-    assert "cannot write" in err
+    assert "Cannot write" in err
     (tmp_path / "m.checkpoint").write_text("hello")
     code, _, err = run("fit", cases, *fit_options, "--out", out)
     assert code == 2
@@ -332,6 +333,7 @@ def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffi
     if suffix == ".csv":
         found = pd.read_csv(out)
         frame = expected.to_frame()
+        assert set(found.pop("name")) == set(pd.read_csv(folder / "inflow.csv").columns[1:])
         assert list(found.columns) == list(frame.columns)
         np.testing.assert_allclose(found, frame, rtol=1e-13)
     else:
@@ -364,7 +366,10 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
     assert "Saved 12 cases" in printed
     assert batches == [5, 5, 2]
     expected = small_model.predict(small_cases.inflow, small_cases.area_undeformed[0])
-    pd.testing.assert_frame_equal(pd.read_csv(out), expected.to_frame(), rtol=1e-13)
+    found = pd.read_csv(out)
+    names = pd.read_csv(folder / "inflows.csv").columns[1:]
+    assert list(found.pop("name").unique()) == list(names)
+    pd.testing.assert_frame_equal(found, expected.to_frame(), rtol=1e-13)
 
 
 def test_predict_names_the_files_that_it_wrote(folder, tmp_path, run):
@@ -402,6 +407,8 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     table = pd.read_csv(folder / "inflows.csv").iloc[:, :6]
     table.to_csv(tmp_path / "five.csv", index=False)
     pd.read_csv(folder / "area.csv").assign(b=0.1).to_csv(bad, index=False)
+    assert "name some cases alike, but b, case" in refused(inflow=tmp_path / "five.csv", area=bad)
+    pd.read_csv(bad).set_axis(["z", "a", "b"], axis=1).to_csv(bad, index=False)
     assert "inflow has 5 cases and area_undeformed 2" in refused(
         inflow=tmp_path / "five.csv", area=bad
     )
@@ -466,6 +473,25 @@ def test_doctor_names_missing_packages(run, monkeypatch):
     assert "pip install jax diffrax" in printed
 
 
+def test_the_commands_stand_in_their_order(run):
+    _, printed, _ = run("--help")
+    lines = printed[printed.index("Commands:") :].splitlines()[1:]
+    assert [line.split()[0] for line in lines if line.strip()] == [
+        *("fit", "cross-validate", "info", "evaluate", "predict", "demo", "simulate"),
+        *("convert", "bench", "app", "figures", "download", "doctor"),
+    ]
+    assert "..." not in "".join(lines)  # every summary is whole
+
+
+def test_a_checkpoint_that_cannot_be_written_is_said_before_anything_is_loaded(folder, run):
+    code, _, err = run(
+        "fit", folder / "missing.npz", "--out", folder / "m.npz",
+        "--checkpoint", folder / "nowhere" / "state",
+    )  # fmt: skip
+    assert code == 2
+    assert "state: give a file in an existing folder" in err
+
+
 def test_bad_use(run):
     for arguments in (("nonsense",), ("fit", "--nonsense"), ("evaluate",), ("predict", "m")):
         code, _, err = run(*arguments)
@@ -484,10 +510,56 @@ def test_the_packages_warnings_have_no_line_of_code(capsys):
         (OutsideTrainingWarning, False),
         (UserWarning, True),
     ):
-        cli._note_warning("It is so.", category, "somewhere.py", 7)
+        note_warning("It is so.", category, "somewhere.py", 7)
         err = capsys.readouterr().err
         assert "It is so." in err
         assert ("somewhere.py:7" in err) == has_line
+
+
+@pytest.mark.parametrize("text", ["model[fast].npz", "a[/x].npz", "a :fire: b", 50 * "long/"])
+def test_text_is_printed_as_it_stands(capsys, monkeypatch, text):
+    monkeypatch.setenv("COLUMNS", "40")
+    say(text)
+    note(f"Error: {text}", style="bold red")
+    assert capsys.readouterr() == (f"{text}\n", f"Error: {text}\n")
+
+
+@pytest.mark.parametrize("name", ["model[fast]", "a[/x]"])
+def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine, monkeypatch, name):
+    """What rich would take for markup: ``[fast]`` vanished, and ``[/x]`` was an error."""
+    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda *_, **__: toy_engine)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    model, table, cases = (tmp_path / f"{name}{end}" for end in (".npz", ".csv", ".h5"))
+    config = ("--config", folder / "config.json", "--split", "none")
+    code, printed, _ = run("fit", folder / "cases.npz", *config, "--out", model)
+    assert code == 0
+    assert f"Saved {model}.\n" in printed
+    code, printed, _ = run(
+        "predict", model, "--inflow", folder / "inflow.csv", "--area", folder / "area.csv",
+        "--out", table,
+    )  # fmt: skip
+    assert (code, printed) == (0, f"Saved 1 case in {table}.\n")
+    small_cases.select([0]).save(tmp_path / "one.h5")
+    code, printed, _ = run("convert", tmp_path / "one.h5", "--from", "hdf5", "--out", cases)
+    assert code == 0
+    assert printed.endswith(f" in {cases}.\n")
+    for file in (model, table, cases):
+        assert file.exists()
+    code, printed, err = run("info", table)
+    assert (code, printed) == (2, "")
+    assert str(table) in err
+
+
+def test_the_checkpoint_of_bench_is_named_by_what_is_trained(small_cases, small_config):
+    name = checkpoint_name(small_cases, small_config, "auto", 0)
+    assert name == checkpoint_name(small_cases, small_config, "auto", 0)
+    others = (
+        (small_cases.select([0, 1]), small_config, "auto", 0),
+        (small_cases, small_config.replace(batch_size=3), "auto", 0),
+        (small_cases, small_config, "jax", 0),
+        (small_cases, small_config, "auto", 1),
+    )
+    assert len({name, *(checkpoint_name(*other) for other in others)}) == 5
 
 
 def test_the_script_is_installed():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.errors import DataNotFoundError, FileError
-from pcnde_bridge.files import atomic_write, sha256_arrays
+from pcnde_bridge.files import atomic_write, sha256_arrays, write_json
 
 
 def names(folder):
@@ -90,6 +90,19 @@ def test_full_disk(tmp_path):
 def test_other_trouble_is_told_in_its_own_words(tmp_path):
     with pytest.raises(FileError, match="Input/output error"), atomic_write(tmp_path / "a.txt"):
         raise OSError(errno.EIO, "Input/output error")
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"a": [1.5, "é"], "b": None})
+    text = b'{\n "a": [\n  1.5,\n  "\\u00e9"\n ],\n "b": null\n}\n'
+    assert path.read_bytes().replace(b"\r\n", b"\n") == text
+    with pytest.raises(TypeError):
+        write_json(path, {"a": object()})
+    assert path.read_bytes().replace(b"\r\n", b"\n") == text
+    write_json(path, {"a": [1, 2]}, indent=None)
+    assert path.read_text() == '{"a": [1, 2]}\n'
+    assert names(tmp_path) == ["a.json"]
 
 
 def test_sha256_arrays_sees_contents_not_layout():

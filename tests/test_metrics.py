@@ -10,6 +10,7 @@ from pcnde_bridge.metrics import (
     AREA_MARGIN,
     compared,
     error_table,
+    pooled,
     pooled_errors,
     relative_error,
 )
@@ -73,8 +74,8 @@ def test_table_by_hand(small_cases, predicted):
             assert table[name].iloc[i] == pytest.approx(
                 by_hand(values[i, ..., part], truth[i]), rel=1e-12
             )
-        pooled = by_hand(values[..., part], truth)
-        assert table[name].iloc[-1] == pytest.approx(pooled, rel=1e-12)
+        together = by_hand(values[..., part], truth)
+        assert table[name].iloc[-1] == pytest.approx(together, rel=1e-12)
     assert table.iloc[-1].to_dict() == pooled_errors(predicted, small_cases)
 
 
@@ -85,6 +86,13 @@ def test_pooled_is_not_the_mean_of_the_cases(small_cases):
     size = [np.linalg.norm(p) for p in small_cases.pressure]
     assert table.iloc[-1] == pytest.approx(size[0] / np.linalg.norm(size))
     assert table.iloc[-1] > 2 * table.iloc[:-1].mean()
+
+
+def test_pooled_errors_of_a_table(small_cases, predicted):
+    found = pooled(error_table(predicted, small_cases))
+    assert found == pooled_errors(predicted, small_cases)
+    assert list(found) == ["flow", "area", "pressure"]
+    assert {type(value) for value in found.values()} == {float}
 
 
 def test_errors(small_cases, predicted):
