@@ -461,8 +461,25 @@ class PCNDE:
         )
         return p
 
-    def _scores(self, inflow: Array, area_undeformed: Array, grid: Grid) -> dict[str, Array]:
-        """How far each case lies from the training data, by what of it."""
+    def novelty_scores(self, inflow: Array, area_undeformed: Array, grid: Grid) -> dict[str, Array]:
+        """Say how far each case lies from the training data, by what of it.
+
+        Parameters
+        ----------
+        inflow : array of shape (case, time)
+            Q at the inlet, mL/s.
+        area_undeformed : array of shape (case, z)
+            S_u, cm².
+        grid : Grid
+            Of the cases: instants, points and period.
+
+        Returns
+        -------
+        dict of str to array of shape (case,)
+            Scores of ``inflow``, ``undeformed area`` and ``period``; 1 is the edge of the
+            training data, and the largest is the prediction's ``novelty``.  Empty if the
+            model does not know its training data.
+        """
         if self.novelty is None:
             return {}
         of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
@@ -474,7 +491,7 @@ class PCNDE:
         }
 
     def _score(self, inflow: Array, area_undeformed: Array, grid: Grid) -> Array | None:
-        scores = self._scores(inflow, area_undeformed, grid)
+        scores = self.novelty_scores(inflow, area_undeformed, grid)
         return np.max(list(scores.values()), axis=0) if scores else None
 
     def _warn(
@@ -490,7 +507,7 @@ class PCNDE:
         if score is None or outside == 0:
             return
         worst = int(score.argmax())
-        scores = self._scores(inflow[[worst]], area_undeformed[[worst]], grid)
+        scores = self.novelty_scores(inflow[[worst]], area_undeformed[[worst]], grid)
         what = max(scores, key=lambda name: scores[name][0])
         warnings.warn(
             f"{outside} of {len(score)} cases lie outside the training data, most of all "

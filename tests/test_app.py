@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import io
 import re
@@ -114,6 +115,16 @@ def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
     assert inside[0] == pytest.approx(1.0, abs=1e-6)
     assert explorer.novelty(choices.inputs(0.5, choices.scale.most))[0] > 1.1
     assert explorer.novelty(choices.inputs(0.5, 1.0, position=1.0))[1] > max(1.0, 3 * inside[1])
+
+
+def test_another_period_is_outside_as_predictions_say(model, explorer):
+    uploaded = table(0.8 * TIME, waves()[1])
+    waveform, _ = read_waveform(uploaded, "mine.csv", model)
+    inputs = explorer.choices.inputs(0.5, 1.0, waveform=waveform)
+    scores = explorer.novelty(inputs)
+    assert scores.period == pytest.approx(2.0)
+    assert max(scores) == pytest.approx(explorer.prediction(inputs).novelty[0], rel=1e-12)
+    assert explorer.novelty(explorer.choices.inputs(0.5, 1.0)).period == 0
 
 
 # ---- what is shown -----------------------------------------------------------
@@ -245,6 +256,46 @@ def test_only_this_machines_names_are_answered(client, headers, code):
         assert client.get(path, headers=headers).status_code == code
     if code == 403:
         assert client.post("/_dash-update-component", headers=headers).status_code == 403
+
+
+def ask(client, **changes):
+    """Have the page's callback draw; its outputs by component."""
+    known = client.get("/_dash-dependencies").json
+    draw = next(callback for callback in known if "along.figure" in callback["output"])
+    outputs = [name.rsplit(".", 1) for name in draw["output"].strip(".").split("...")]
+    values = {"blockage": 50, "position": 2.0, "length": 0.5, "scale": 1.0, "waveform": None}
+    values |= {"instant": 5, "point": 30, "shown": [], "done": None} | changes
+    given = [{**where, "value": values[where["id"]]} for where in draw["inputs"]]
+    body = {
+        "output": draw["output"],
+        "outputs": [{"id": name, "property": of} for name, of in outputs],
+        "inputs": given,
+        "state": [],
+        "changedPropIds": ["scale.value"],
+    }
+    return client.post("/_dash-update-component", json=body, headers={"Host": "localhost"})
+
+
+def test_the_page_says_that_another_period_is_outside(client, explorer):
+    waveform, length = explorer.choices.base, explorer.choices.length.start
+    for period, look, said in (
+        (1.0, "inside", "period 0.00"),
+        (0.8, "outside", "The period is unlike any case"),
+    ):
+        changed = dataclasses.asdict(dataclasses.replace(waveform, period=period))
+        response = ask(client, length=length, waveform=changed).json["response"]
+        assert response["novelty"]["className"] == look
+        assert said in str(response["novelty"]["children"])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"instant": None}, {"point": None}, {"instant": 32}, {"point": 2.5}, {"shown": None}],
+)
+def test_requests_that_the_page_never_makes_are_not_answered(client, changes):
+    assert ask(client).status_code == 200
+    response = ask(client, **changes)
+    assert (response.status_code, response.data) == (204, b"")
 
 
 def test_page_loads_nothing_from_elsewhere(client):

@@ -24,5 +24,14 @@ def test_notebook_runs_and_is_kept_without_outputs(path, tmp_path):
     assert {"text/html", "image/png"} <= kinds
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_figures_do_not_call_simulated_vessels_3d(path):
+    """The default name of the truth is the paper's; the notebooks have the 1D solver's."""
+    cells = [cell.source for cell in nbformat.read(path, as_version=4).cells]
+    named = ("smoothness(", "time_and_space(", "noise(", "results(", "fourier_effect(")
+    drawn = [line for cell in cells for line in cell.splitlines() if line.startswith(named)]
+    assert all("truth_label=" in line for line in drawn)
+
+
 def test_there_are_notebooks():
     assert NOTEBOOKS

@@ -23,7 +23,7 @@ from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_u
 from dash.exceptions import PreventUpdate
 
 from pcnde_bridge.app import page
-from pcnde_bridge.app.explorer import Explorer
+from pcnde_bridge.app.explorer import Explorer, Scores
 from pcnde_bridge.app.inputs import Inputs, read_waveform
 from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.waveform import Waveform
@@ -36,6 +36,8 @@ CONTROLS = {
     "uploaded": ("waveform", "data"),
 }
 """Component and property that hold each choice."""
+
+_EDGE = 1 + 1e-6  # of the training data, whose own cases may be resampled; as predictions warn
 
 
 def connect(app: Dash, explorer: Explorer) -> None:
@@ -88,6 +90,10 @@ def _draw(app: Dash, explorer: Explorer) -> None:
     def draw(
         values: dict[str, Any], instant: int, point: int, shown: list[str], _done: str | None
     ) -> dict[str, Any]:
+        grid = explorer.model.grid
+        known = instant in range(grid.time.size) and point in range(grid.z.size)
+        if not known or shown is None:  # the page itself never asks for such
+            raise PreventUpdate
         try:
             inputs = chosen(explorer, values)
             along, over = explorer.along(inputs, instant), explorer.over(inputs, point)
@@ -119,13 +125,12 @@ def _draw(app: Dash, explorer: Explorer) -> None:
         }
 
 
-def _novelty(scores: tuple[float, float] | None) -> tuple[bool, list[Any]]:
+def _novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
     """Whether the input lies outside the training data, and what to say of it."""
     if scores is None:
         return True, ["This model does not say what it was trained on: no novelty score."]
-    parts = {"waveform": scores[0], "vessel": scores[1]}
-    # The score of the edge itself is off by round-off.
-    beyond = [name for name, score in parts.items() if score > 1 + 1e-9]
+    parts = scores._asdict()
+    beyond = [name for name, score in parts.items() if score > _EDGE]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
     small = html.Small(f"Novelty: {numbers}; 1 is the edge.")
     if not beyond:

@@ -15,6 +15,7 @@ from pcnde_bridge.app.inputs import Choices, Inputs
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.errors import PCNDEError
+from pcnde_bridge.grid import Grid
 from pcnde_bridge.model import PCNDE
 from pcnde_bridge.plots.style import QUANTITIES, shown
 from pcnde_bridge.prediction import Prediction
@@ -34,6 +35,14 @@ class Line(NamedTuple):
 
     x: Array
     y: Array
+
+
+class Scores(NamedTuple):
+    """How far waveform, vessel and period lie from the training data; 1 is its edge."""
+
+    waveform: float
+    vessel: float
+    period: float
 
 
 @dataclass(frozen=True)
@@ -173,13 +182,18 @@ class Explorer:
         tube, outlet = self.solver(inputs)
         return tube.simulate([inputs.vessel], [inputs.waveform], outlet)
 
-    def novelty(self, inputs: Inputs) -> tuple[float, float] | None:
-        """Scores of the waveform and of the vessel; beyond 1 is outside the training data."""
-        if self.model.novelty is None:
-            return None
+    def novelty(self, inputs: Inputs) -> Scores | None:
+        """Scores of the inputs, as the prediction has them; None if the model has none."""
         found = self.prediction(inputs)
-        scores = self.model.novelty.score(found.flow[:, :, 0], found.area_undeformed, found.z)
-        return float(scores[0][0]), float(scores[1][0])
+        scores = self.model.novelty_scores(
+            found.flow[:, :, 0],
+            found.area_undeformed,
+            Grid(found.time, found.z, found.period),
+        )
+        if not scores:
+            return None
+        named = scores["inflow"], scores["undeformed area"], scores["period"]
+        return Scores(*(float(score[0]) for score in named))
 
     def csv(self, inputs: Inputs) -> str:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""

@@ -10,7 +10,9 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.plots.style import OTHER, PREDICTED, TRUTH, new_figure, plain
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _STAGE_UNITS = {
@@ -67,16 +69,18 @@ def loss_history(history: pd.DataFrame) -> Figure:
         fits = fits.assign(number=number)
         batches = fits.groupby(["epoch", "batch"], sort=False)
         if fits["batch"].nunique() == 1:
-            axis.plot(number, loss, "-", lw=1.6, color=PREDICTED)
+            _line(axis, number, loss, PREDICTED)
         elif len(fits) >= _LONG * batches.ngroups:
             for _, fit in batches:
-                axis.plot(fit["number"], fit["loss"], "-", lw=1.6, color=PREDICTED)
+                _line(axis, fit["number"], fit["loss"], PREDICTED)
         else:
             axis.plot(number, loss, ".", ms=4, alpha=0.4, mec="none", color=PREDICTED)
             # Each batch's last loss in each epoch, in the mean.
             ends = batches.last()
             means = ends.groupby("epoch")[["number", "loss"]].agg({"number": "max", "loss": "mean"})
-            axis.plot(means["number"], means["loss"], "-", lw=1.6, color=TRUTH)
+            _line(axis, means["number"], means["loss"], TRUTH)
+        if len(fits) == 1:
+            axis.set_xlim(0, 2)
         if (loss > 0).all() and loss.max() > 10 * loss.min():
             axis.set_yscale("log")
         else:
@@ -87,6 +91,11 @@ def loss_history(history: pd.DataFrame) -> Figure:
         axis.set_ylabel(f"loss ({unit})")
         plain(axis)
     return figure
+
+
+def _line(axis: Axes, number: npt.ArrayLike, loss: npt.ArrayLike, colour: str) -> None:
+    """Draw losses as a line, or a single one, which no line shows, as a point."""
+    axis.plot(number, loss, "o" if np.size(loss) == 1 else "-", lw=1.6, ms=4, color=colour)
 
 
 def activations(study: pd.DataFrame) -> Figure:
