@@ -212,10 +212,9 @@ def _write_predictions(
     from pcnde_bridge.plots import loss_history, time_and_space
 
     with atomic_write(folder / "prediction.csv.gz") as temporary:
-        frame = prediction.to_frame().drop(
-            columns=["periodicity", "volume_balance"], errors="ignore"
+        prediction.to_frame().to_csv(
+            temporary, index=False, float_format="%.7g", compression="gzip"
         )
-        frame.to_csv(temporary, index=False, float_format="%.7g", compression="gzip")
     hardest = outermost(test)
     inflow = {"time": test.time, "inflow": test.inflow[hardest]}
     _write_table(folder / "inflow.csv", pd.DataFrame(inflow))

@@ -33,6 +33,7 @@ from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.published_weights import read_published_weights
 from pcnde_bridge.validation import whole
+from pcnde_bridge.variables import SOLVER_LABELS
 
 Array = npt.NDArray[np.float64]
 
@@ -381,7 +382,8 @@ class PCNDE:
         grid = cases.grid
         inputs = cases.inflow, cases.area_undeformed
         score = self._score(*inputs, grid)
-        return self._predict(*inputs, grid, cases.labels, score, samples, seed)
+        labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
+        return self._predict(*inputs, grid, labels, score, samples, seed)
 
     @property
     def any_grid(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["UNITS", "VARIABLES"]
+__all__ = ["SOLVER_LABELS", "UNITS", "VARIABLES"]
 
 VARIABLES = ("flow", "area", "pressure")
 """What a model predicts, each (case, time, z)."""
@@ -16,3 +16,6 @@ UNITS = {
     "z": "cm",
 }
 """The units of every array (CGS)."""
+
+SOLVER_LABELS = ("periodicity", "volume_balance")
+"""Labels by which the 1D solver judges its cases; they say nothing of a prediction of these."""

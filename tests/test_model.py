@@ -272,6 +272,12 @@ def test_a_shifted_start_of_time_is_the_same_grid(small_model, small_cases, pred
 # ---- prediction --------------------------------------------------------------
 
 
+def test_predictions_do_not_inherit_how_the_truth_was_solved(small_model, small_cases):
+    labels = small_cases.labels.assign(periodicity=1e-9, volume_balance=1e-15, factor=2.0)
+    found = small_model.predict(with_grid(small_cases, labels=labels)).labels
+    assert set(found) == {*small_cases.labels, "factor"}
+
+
 def test_prediction_as_a_frame(prediction, small_cases):
     frame = prediction.to_frame()
     labels = list(small_cases.labels.columns)

@@ -19,6 +19,7 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.stenosis import effective_length, turbulent_drop, viscous_drop
 from pcnde_bridge.tube1d.steps import GAMMA, named
 from pcnde_bridge.validation import all_of, finite
+from pcnde_bridge.variables import SOLVER_LABELS
 from pcnde_bridge.vessel import Stenosis, Vessel
 from pcnde_bridge.waveform import Waveform
 
@@ -29,7 +30,6 @@ Array = npt.NDArray[np.float64]
 
 _LARGEST_AREA_RATIO = 2.5  # of S_u between neighbouring points
 _STEPS_PER_HARMONIC = 8  # time steps per period of the highest harmonic
-_OWN_LABELS = ("periodicity", "volume_balance")
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _labels(
     z: Array, area_undeformed: Array, labels: pd.DataFrame | Mapping[str, Any] | None
 ) -> pd.DataFrame:
     """Labels as the data set wants them, found wrong now rather than after computing."""
-    for name in _OWN_LABELS:
+    for name in SOLVER_LABELS:
         if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
             raise InputError(
                 f"labels has a column named {name!r}, as the solver names one that it adds; leave "
