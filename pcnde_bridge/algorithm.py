@@ -27,6 +27,36 @@ class Unit(NamedTuple):
     batch: int
 
 
+class StageFit(NamedTuple):
+    """A stage that a unit of work asks to be fitted to all cases.
+
+    Attributes
+    ----------
+    stage : str
+        Its name.
+    unit : Unit
+        Of the work.
+    state : TrainingState
+        With the parameters before.
+    inputs, target
+        Of the engine's stage: what it takes, and the data, (case, time, z).
+    cases, engine, config
+        Of the run.
+    record : Recorder
+        Of the iterations.
+    """
+
+    stage: str
+    unit: Unit
+    state: TrainingState
+    inputs: Any
+    target: Array
+    cases: Cases
+    engine: Engine
+    config: PCNDEConfig
+    record: Recorder
+
+
 class Algorithm(Protocol):
     """What :mod:`pcnde_bridge.batches` and :mod:`pcnde_bridge.all_at_once` supply."""
 
@@ -39,19 +69,5 @@ class Algorithm(Protocol):
     def count_iterations(self, config: PCNDEConfig, n_batches: int) -> int:
         """Count the iterations of all stages, if no fit ends early."""
 
-    def fit(
-        self,
-        stage: str,
-        unit: Unit,
-        state: TrainingState,
-        inputs: Any,
-        target: Array,
-        cases: Cases,
-        engine: Engine,
-        config: PCNDEConfig,
-        record: Recorder,
-    ) -> Array:
-        """Fit a stage to all cases, from the parameters of the state; return its new ones.
-
-        ``inputs`` and ``target`` are those of the engine's stage.
-        """
+    def fit(self, wanted: StageFit) -> Array:
+        """Return the stage's new parameters."""

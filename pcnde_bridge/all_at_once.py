@@ -17,12 +17,12 @@ The engine computes the flow and runs L-BFGS; everything else is small enough fo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.algorithm import Unit
+from pcnde_bridge.algorithm import StageFit, Unit
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PCNDEConfig, Physics
 from pcnde_bridge.engines.base import (
@@ -39,16 +39,12 @@ from pcnde_bridge.errors import SolveError
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.held_out import Positions, training_and_validation
 from pcnde_bridge.hidden_layers import HiddenLayers
-from pcnde_bridge.history import Recorder
 from pcnde_bridge.inference import initial_area
 from pcnde_bridge.known_flow import KnownFlow
 from pcnde_bridge.lbfgs import Whitening, minimise
 from pcnde_bridge.least_squares import solve_normal, solve_per_point
 from pcnde_bridge.parameters import initial_parameters, layer_sizes
 from pcnde_bridge.stenosis import pressure_drop
-
-if TYPE_CHECKING:
-    from pcnde_bridge.training import TrainingState
 
 Array = npt.NDArray[np.float64]
 
@@ -80,21 +76,9 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
 
 
-def fit(
-    stage: str,
-    unit: Unit,
-    state: TrainingState,
-    inputs: Any,
-    target: Array,
-    cases: Cases,
-    engine: Engine,
-    config: PCNDEConfig,
-    record: Recorder,
-) -> Array:
-    """Fit a stage: with the validation part kept apart in the first round, then on all cases.
-
-    The arguments are those of :meth:`pcnde_bridge.algorithm.Algorithm.fit`.
-    """
+def fit(wanted: StageFit) -> Array:
+    """Fit a stage: with the validation part kept apart in the first round, then on all cases."""
+    stage, unit, state, inputs, target, cases, engine, config, record = wanted
     vector, first, grid = getattr(state.parameters, stage), unit.epoch == 1, cases.grid
     selection = state.batches if first else (np.arange(len(cases)),)
     if stage == "flow":

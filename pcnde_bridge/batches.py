@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.algorithm import Unit
+from pcnde_bridge.algorithm import StageFit, Unit
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.held_out import Positions
-from pcnde_bridge.history import Recorder
-
-if TYPE_CHECKING:
-    from pcnde_bridge.training import TrainingState
 
 Array = npt.NDArray[np.float64]
 
@@ -48,21 +43,9 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     )
 
 
-def fit(
-    stage: str,
-    unit: Unit,
-    state: TrainingState,
-    inputs: Any,
-    target: Array,
-    cases: Cases,
-    engine: Engine,
-    config: PCNDEConfig,
-    record: Recorder,
-) -> Array:
-    """Fit the flow to one batch, an area stage to one after the other, the pressure to all cases.
-
-    The arguments are those of :meth:`pcnde_bridge.algorithm.Algorithm.fit`.
-    """
+def fit(wanted: StageFit) -> Array:
+    """Fit the flow to one batch, an area stage to each in turn, the pressure to all cases."""
+    stage, unit, state, inputs, target, cases, engine, config, record = wanted
     vector: Array = getattr(state.parameters, stage)
     iterations = getattr(config, stage).iterations
     batches: list[tuple[int, Any]] = list(enumerate(state.batches, 1))

@@ -9,6 +9,7 @@ from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
+from pcnde_bridge.metrics import pooled
 from pcnde_bridge.model import PCNDE
 
 
@@ -66,8 +67,8 @@ def fit_and_score(task: FitTask) -> dict[str, float]:
     scores: dict[str, float] = {}
     for prefix, cases in (("", task.held_out), ("train_", task.train)):
         if cases is not None:
-            pooled = model.evaluate(cases).iloc[-1]
-            scores |= {f"{prefix}{name}": float(error) for name, error in pooled.items()}
+            errors = pooled(model.evaluate(cases))
+            scores |= {f"{prefix}{name}": error for name, error in errors.items()}
     return {**scores, "seconds": float(model.provenance["seconds"])}
 
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from pcnde_bridge import all_at_once, batches
 from pcnde_bridge import history as histories
-from pcnde_bridge.algorithm import Algorithm, Unit
+from pcnde_bridge.algorithm import Algorithm, StageFit, Unit
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.checkpoints import Checkpoint, RunState
 from pcnde_bridge.config import PCNDEConfig
@@ -225,8 +225,9 @@ class Trainer:
         parameters, s_u = state.parameters, cases.area_undeformed
 
         def fit(stage: str, inputs: Any, target: Array) -> Array:
-            algorithm = _ALGORITHMS[config.training]
-            return algorithm.fit(stage, unit, state, inputs, target, cases, engine, config, record)
+            return _ALGORITHMS[config.training].fit(
+                StageFit(stage, unit, state, inputs, target, cases, engine, config, record)
+            )
 
         if unit.work == "flow":
             vector = fit("flow", FlowInputs(cases.inflow, area), cases.flow)
