@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,18 +25,17 @@ from pcnde_bridge.errors import FileError, InputError, SolveError
 from pcnde_bridge.grid import Grid, check_grid, check_resolution
 from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import error_table
-from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
+from pcnde_bridge.novelty import EDGE, Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import Parameters
 from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.provenance import provenance
 from pcnde_bridge.published_weights import read_published_weights
-from pcnde_bridge.validation import whole
+from pcnde_bridge.validation import positive, whole
 from pcnde_bridge.variables import SOLVER_LABELS
 
 Array = npt.NDArray[np.float64]
 
 FORMAT, FORMAT_VERSION = "pcnde-model", 1
-_EDGE = 1 + 1e-6  # of the training data, whose own cases may be resampled
 _PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
 # pandas takes longer to make these names than a case takes to be predicted.
 _CASE = pd.Index(["case"])
@@ -409,10 +406,7 @@ class PCNDE:
             if (np.diff(points) <= 0).any():
                 raise InputError("z must increase.")
         check_resolution(n_times, points.size)
-        cycle = self.grid.period if period is None else period
-        if not isinstance(cycle, Real) or not (math.isfinite(cycle) and cycle > 0):
-            raise InputError(f"period must be a positive number of seconds, got {period!r}.")
-        cycle = float(cycle)
+        cycle = self.grid.period if period is None else positive("period", period, "s")
         time = self.grid.time[0] + np.arange(float(n_times)) * (cycle / n_times)
         return Grid(time, points, cycle)
 
@@ -505,7 +499,7 @@ class PCNDE:
         level: int = 3,
     ) -> None:
         """Warn of inputs outside the training data; the level is that of the caller to blame."""
-        outside = 0 if score is None else int((score > _EDGE).sum())
+        outside = 0 if score is None else int((score > EDGE).sum())
         if score is None or outside == 0:
             return
         worst = int(score.argmax())

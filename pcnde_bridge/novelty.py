@@ -21,6 +21,9 @@ from pcnde_bridge.errors import InputError, PCNDEWarning
 
 Array = npt.NDArray[np.float64]
 
+EDGE = 1 + 1e-6
+"""Scores beyond are outside; a little above 1, as the training cases may be resampled."""
+
 _HARMONICS = 12
 _PLACES = 101
 _KEPT = 1e-3

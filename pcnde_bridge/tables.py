@@ -195,7 +195,7 @@ def _rows(columns: pd.DataFrame) -> Array:
 
 def read_cycle(
     path: str | os.PathLike[str], start: float, usual_period: float
-) -> tuple[float, Array]:
+) -> tuple[float, pd.DataFrame]:
     """Read one cycle of waveforms at equally spaced instants, without its end point.
 
     Parameters
@@ -210,8 +210,9 @@ def read_cycle(
 
     Returns
     -------
-    float, array of shape (case, time)
-        The period (s) that the instants make, and the columns.
+    float, DataFrame
+        The period (s) that the instants make, and a column for each case, a row for each
+        instant.
 
     Raises
     ------
@@ -221,13 +222,6 @@ def read_cycle(
         If a column is missing or not numeric, or the instants are not equally spaced, begin
         at another time or repeat the first.
     """
-    period, columns = _cycle(path, start, usual_period)
-    return period, _rows(columns)
-
-
-def _cycle(
-    path: str | os.PathLike[str], start: float, usual_period: float
-) -> tuple[float, pd.DataFrame]:
     time, columns = _read(path, "time")
     if time.size < 2:
         raise InputError(f"{path} has {time.size} instants; a cycle needs more.")
@@ -259,7 +253,9 @@ def _closed(waveforms: Array) -> bool:
     return bool((gap <= _SAME * np.ptp(waveforms, axis=1)).all())
 
 
-def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit: str) -> Array:
+def read_columns(
+    path: str | os.PathLike[str], axis: str, expected: Array, unit: str
+) -> pd.DataFrame:
     """Read one column for each case, given at an axis that must be the model's.
 
     Parameters
@@ -275,8 +271,8 @@ def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit:
 
     Returns
     -------
-    array of shape (case, n)
-        The other columns.
+    DataFrame
+        The other columns, one for each case.
 
     Raises
     ------
@@ -285,10 +281,6 @@ def read_columns(path: str | os.PathLike[str], axis: str, expected: Array, unit:
     InputError
         If a column is missing or not numeric, or the axis is another.
     """
-    return _rows(_on_axis(path, axis, expected, unit))
-
-
-def _on_axis(path: str | os.PathLike[str], axis: str, expected: Array, unit: str) -> pd.DataFrame:
     found, columns = _read(path, axis)
     if len(found) != len(expected):
         raise InputError(
@@ -366,11 +358,11 @@ def read_inputs(
     """
     where: dict[str, Any] = {}
     if any_grid:
-        where["period"], q = _cycle(inflow, float(grid.time[0]), grid.period)
+        where["period"], q = read_cycle(inflow, float(grid.time[0]), grid.period)
         where["z"], s_u = _read(area, "z")
     else:
-        q = _on_axis(inflow, "time", grid.time, "s")
-        s_u = _on_axis(area, "z", grid.z, "cm")
+        q = read_columns(inflow, "time", grid.time, "s")
+        s_u = read_columns(area, "z", grid.z, "cm")
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
         alone = sorted(set(by_inflow) ^ set(by_area))

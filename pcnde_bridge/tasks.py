@@ -365,19 +365,18 @@ class _Kept:
             return None
         try:
             facts, arrays = read_archive(path, _KIND, _VERSION, "result")
+            if facts["facts"] != self._facts:
+                raise InputError(
+                    f"{path} is the result of other tasks (other cases, settings or seeds). Give "
+                    "another folder, or remove this one."
+                )
+            values = {_ARRAY + key: value for key, value in facts["values"].items()} | arrays
+            return {key: values[_ARRAY + key] for key in facts["order"]}
         except FileError as error:
             _log.warning("%s The task is done again.", error)
-            return None
-        if facts.get("facts") != self._facts:
-            raise InputError(
-                f"{path} is the result of other tasks (other cases, settings or seeds). Give "
-                "another folder, or remove this one."
-            )
-        values = facts["values"]
-        return {
-            key: arrays[_ARRAY + key] if _ARRAY + key in arrays else values[key]
-            for key in facts["order"]
-        }
+        except KeyError as error:
+            _log.warning("%s is not a whole result: %s. The task is done again.", path, error)
+        return None
 
     def write(self, name: str, result: Any) -> None:
         if not isinstance(result, Mapping):

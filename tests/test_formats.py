@@ -317,8 +317,8 @@ def test_vessels_of_one_data_set_have_one_grid(vessel):
         ({"flip": "area"}, "flip must be 'flow' or 'z'"),
         ({"instants": 3}, "instants must be a whole number ≥ 4"),
         ({"instants": 10.5}, "instants must be a whole number"),
-        ({"period": -1.0}, "period must be a positive number"),
-        ({"period": "1"}, "period must be a positive number"),
+        ({"period": -1.0}, "period must be positive and finite"),
+        ({"period": "1"}, "period must be a number"),
     ],
 )
 def test_bad_options(vessel, options, message):

@@ -54,6 +54,9 @@ def test_one_column_goes_with_all(read):
     found = read({"P2": 2}, {"P1": 10, "P2": 20})
     assert found.names == ["P1", "P2"]
     assert (len(found.inflow), len(found.area_undeformed)) == (1, 2)
+    for array in (found.inflow, found.area_undeformed):  # as engines take them
+        assert array.dtype == np.float64
+        assert array.flags.c_contiguous
     found = read({"P1": 1, "P2": 2}, {"P2": 20})
     assert found.names == ["P1", "P2"]
     assert (len(found.inflow), len(found.area_undeformed)) == (2, 1)
@@ -117,5 +120,5 @@ def test_tables_of_another_kind_are_told_what_to_do(tmp_path, text, error, messa
 
 def test_blanks_after_commas_belong_to_nothing(tmp_path):
     (tmp_path / "q.csv").write_text("time, a, b\n0, 1, 2\n0.25, 1, 2\n0.5, 1, 2\n0.75, 1, 2\n")
-    found = read_columns(tmp_path / "q.csv", "time", GRID.time, "s")
+    found = read_columns(tmp_path / "q.csv", "time", GRID.time, "s").to_numpy().T
     assert np.array_equal(found, [[1] * 4, [2] * 4])

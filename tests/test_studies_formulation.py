@@ -225,7 +225,7 @@ def test_minima_and_roughness():
     [
         ({"points": 4}, "odd"),
         ({"points": 5.0}, "points must be a whole number"),
-        ({"amplitude": np.inf}, "amplitude must be a positive number"),
+        ({"amplitude": np.inf}, "amplitude must be positive and finite"),
         ({"config": "physics"}, "of the paper's equations"),
         ({"amplitude": 0.0}, "positive"),
         ({"config": FAST}, "batches"),

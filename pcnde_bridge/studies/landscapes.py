@@ -31,7 +31,7 @@ from pcnde_bridge.history import Iteration
 from pcnde_bridge.metrics import compared, relative_error
 from pcnde_bridge.progress import listening
 from pcnde_bridge.training import Trainer, TrainingState, plan
-from pcnde_bridge.validation import whole
+from pcnde_bridge.validation import positive, whole
 
 Array = npt.NDArray[np.float64]
 Moment = Literal["initial", "coupled"]
@@ -243,8 +243,7 @@ def amplitudes(largest: float, points: int) -> Array:
     points = whole("points", points, 3)
     if points % 2 == 0:
         raise InputError(f"points must be odd, so that 0 is among them; got {points}.")
-    if not 0 < largest < np.inf:
-        raise InputError(f"amplitude must be a positive number, got {largest!r}.")
+    largest = positive("amplitude", largest)
     half = points // 2
     return largest * np.arange(-half, half + 1) / half
 
