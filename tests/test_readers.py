@@ -6,7 +6,6 @@ The files are made as in :mod:`test_formats`.
 from __future__ import annotations
 
 import itertools
-import time
 
 import h5py
 import numpy as np
@@ -119,19 +118,20 @@ def test_an_unknown_blockage_may_be_written_in_words(prediction, tmp_path):
     assert read_csv(tmp_path / "p.csv", period=1.0).labels["blockage"].isna().all()
 
 
-def test_columns_that_are_no_labels_are_refused_at_once(prediction, tmp_path):
+def test_columns_that_are_no_labels_are_refused_at_once(prediction, tmp_path, monkeypatch):
     path = tmp_path / "p.csv"
     frame = pd.concat([prediction.to_frame()] * 20, ignore_index=True)
     frame["waveform"] = np.repeat(np.arange(20), len(prediction.to_frame()))
     frame["velocity"] = frame["flow"] / frame["area"] + 1e-9 * np.arange(len(frame))
     frame.to_csv(path, index=False)
-    start = time.perf_counter()
+    # Before a single one of their many cases is made, which would take hours.
+    monkeypatch.setattr("pcnde_bridge.formats.csv._vessel", lambda *_: pytest.fail("made"))
     with pytest.raises(InputError, match=r"velocity changes within a case, .* left out"):
         read_csv(path, period=1.0)
     frame.drop(columns="waveform").to_csv(path, index=False)
     with pytest.raises(InputError, match=r"apart, one with 1 row only.*too many values: velocity"):
         read_csv(path, period=1.0)
-    assert time.perf_counter() - start < 5
+    monkeypatch.undo()
     # Names given by the caller need no geometry and waveform in the file.
     each = prediction.to_frame().assign(geometry=0, waveform=0)
     each["who"] = np.repeat(["a", "b", "c"], len(each) // 3)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-pytest.importorskip("matplotlib")
-
 from pcnde_bridge import plots
 
 COLUMNS = ["stage", "epoch", "batch", "iteration", "loss", "seconds"]
