@@ -33,7 +33,7 @@ from pcnde_bridge.engines.base import (
 )
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.history import Iteration, OnRecord, Recorder
-from pcnde_bridge.inference import initial_area, solve_area, undeformed
+from pcnde_bridge.inference import initial_area, predict_by_stages, solve_area, undeformed
 from pcnde_bridge.parameters import STAGES, Parameters, initial_parameters
 
 Array = npt.NDArray[np.float64]
@@ -242,7 +242,9 @@ class Trainer:
             fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
             return parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
         target = cases.pressure / config.physics.reference_pressure
-        solved = engine.predict(parameters.without_pressure(), cases.inflow, s_u, grid, config)
+        solved = predict_by_stages(
+            engine, parameters.without_pressure(), cases.inflow, s_u, grid, config
+        )
         temporal_inputs = TemporalPressureInputs(solved.flow, solved.area, s_u)
         if unit.work == "temporal_pressure":
             vector = fit(unit.work, temporal_inputs, target)
