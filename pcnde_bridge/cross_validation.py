@@ -11,7 +11,7 @@ from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine
-from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
+from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere, score_table
 from pcnde_bridge.held_out import each_waveform_and_geometry
 from pcnde_bridge.tasks import Workers, run
 from pcnde_bridge.validation import whole
@@ -83,13 +83,7 @@ def cross_validate(
         facts={**common_facts("cross-validation", cases, settings, engine), "seed": seed},
         progress=progress,
     )
-    rows = [
-        {
-            "cases": len(positions),
-            **outcome.results.get(f"{label} {value}", {}),
-            "failure": outcome.failures.get(f"{label} {value}"),
-        }
-        for (label, value), positions in chosen.items()
-    ]
     index = pd.MultiIndex.from_tuples(list(chosen), names=["label", "value"])
-    return pd.DataFrame(rows, index=index)
+    table = score_table(tasks, outcome, index)
+    table.insert(0, "cases", [len(positions) for positions in chosen.values()])
+    return table

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
+
+import pandas as pd
 
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
@@ -11,6 +14,8 @@ from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.metrics import pooled
 from pcnde_bridge.model import PCNDE
+from pcnde_bridge.tasks import Outcome
+from pcnde_bridge.variables import VARIABLES
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,35 @@ def fit_and_score(task: FitTask) -> dict[str, float]:
             errors = pooled(model.evaluate(cases))
             scores |= {f"{prefix}{name}": error for name, error in errors.items()}
     return {**scores, "seconds": float(model.provenance["seconds"])}
+
+
+def score_table(
+    tasks: Mapping[str, FitTask], outcome: Outcome, index: pd.MultiIndex
+) -> pd.DataFrame:
+    """List what came of :func:`fit_and_score`, in columns that are there whatever failed.
+
+    Parameters
+    ----------
+    tasks : mapping of str to FitTask
+        All of them, one or more.
+    outcome : Outcome
+        What came of them.
+    index : MultiIndex
+        Of the rows, one for each task in their order.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``flow``, ``area`` and ``pressure`` where cases were held out, ``train_flow``
+        and so on, ``seconds``, and ``failure``, why there are no numbers, else None.
+    """
+    held_out = any(task.held_out is not None for task in tasks.values())
+    prefixes = ("", "train_") if held_out else ("train_",)
+    numbers = [f"{prefix}{name}" for prefix in prefixes for name in VARIABLES] + ["seconds"]
+    rows = [outcome.results.get(name, {}) for name in tasks]
+    table = pd.DataFrame(rows, index=index, columns=numbers, dtype=float)
+    table["failure"] = pd.Series(list(map(outcome.failures.get, tasks)), index, dtype=object)
+    return table
 
 
 def common_facts(

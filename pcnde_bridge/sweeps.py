@@ -12,7 +12,7 @@ from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere
+from pcnde_bridge.fits import FitTask, common_facts, fit_and_score, same_everywhere, score_table
 from pcnde_bridge.grid import check_grid, check_resolution
 from pcnde_bridge.tasks import Workers, run
 from pcnde_bridge.validation import whole_seeds
@@ -102,7 +102,4 @@ def sweep(
         facts=facts,
         progress=progress,
     )
-    rows = [
-        {**outcome.results.get(name, {}), "failure": outcome.failures.get(name)} for name in tasks
-    ]
-    return pd.DataFrame(rows, index=pd.MultiIndex.from_tuples(keys, names=["config", "seed"]))
+    return score_table(tasks, outcome, pd.MultiIndex.from_tuples(keys, names=["config", "seed"]))

@@ -282,6 +282,22 @@ def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
     assert table[NUMBERS].iloc[1:].notna().all(axis=None)
 
 
+def test_tables_have_their_columns_whatever_fails(small_cases, config, engine):
+    broken = FailingEngine(set(range(99)))
+    lost = cross_validate(small_cases, config, broken, retries=0, progress=False)
+    assert lost["failure"].notna().all()
+    assert lost[NUMBERS].isna().all(axis=None)
+    assert lost[["seconds", "cases"]].notna().any().tolist() == [False, True]
+    found = cross_validate(small_cases, config, engine, progress=False)
+    assert list(lost) == list(found)
+    assert lost.dtypes[:-1].equals(found.dtypes[:-1])
+    lost = sweep(small_cases, None, {"a": config}, (0, 1), broken, retries=0, progress=False)
+    found = sweep(small_cases, None, {"a": config}, (0, 1), engine, progress=False)
+    assert list(lost) == list(found)
+    assert "train_flow" in found
+    assert "flow" not in found
+
+
 def test_a_sweep(small_cases, other_period, config, engine):
     train, held = small_cases.select(waveform=[0, 1, 3]), small_cases.select(waveform=[2])
     configs = {"plain": config, "longer": config.replace(flow={"iterations": 5})}

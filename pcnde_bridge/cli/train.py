@@ -31,6 +31,7 @@ from pcnde_bridge.errors import InputError, TaskError
 from pcnde_bridge.files import atomic_write
 from pcnde_bridge.metrics import pooled
 from pcnde_bridge.model import PCNDE
+from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from pcnde_bridge.bench import Row
@@ -117,7 +118,7 @@ def cross_validate(
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
     names = [" ".join(map(str, key)) for key in table.index.to_list()]
-    if variables := [name for name in ("flow", "area", "pressure") if name in table]:
+    if variables := [name for name in VARIABLES if table[name].notna().any()]:
         errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
         for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
             errors[f"mean, {label}"] = mean
