@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -229,8 +229,45 @@ class Ensemble:
         """
         return self.members[0].warned(self._predict(inflow, area_undeformed, z, period))
 
+    def predict_batches(
+        self,
+        inflow: npt.ArrayLike,
+        area_undeformed: npt.ArrayLike,
+        *,
+        batch: int = 64,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+    ) -> Iterator[Prediction]:
+        """Predict as :meth:`predict` does, some cases after the others.
+
+        A prediction takes the memory of one of each member and of their mean.
+
+        Parameters
+        ----------
+        inflow, area_undeformed, batch, z, period
+            As of :meth:`PCNDE.predict_batches`.
+
+        Returns
+        -------
+        iterator of Prediction
+            As of :meth:`PCNDE.predict_batches`, with samples.
+
+        Warns
+        -----
+        OutsideTrainingWarning
+            If an input lies outside the training data.
+        """
+        given = inflow, area_undeformed, batch, z, period
+        # All know the same training data: one warning is enough.
+        first = self.members[0].batches(*given, warns=True)
+        others = [member.batches(*given, warns=False) for member in self.members[1:]]
+        return (self._joined(predictions) for predictions in zip(first, *others, strict=True))
+
     def _predict(self, *inputs: Any) -> Prediction:
-        all_of_them = [member.predict_silently(*inputs) for member in self.members]
+        return self._joined([member.predict_silently(*inputs) for member in self.members])
+
+    def _joined(self, all_of_them: Sequence[Prediction]) -> Prediction:
+        """Mean of the members' predictions, and samples with the calibrated deviation."""
         first, count = all_of_them[0], len(all_of_them)
         means, samples = {}, {}
         for name in first.variables():

@@ -328,10 +328,24 @@ class PCNDE:
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
+        return self.batches(inflow, area_undeformed, batch, z, period, warns=True)
+
+    def batches(
+        self,
+        inflow: npt.ArrayLike,
+        area_undeformed: npt.ArrayLike,
+        batch: int,
+        z: npt.ArrayLike | None,
+        period: float | None,
+        *,
+        warns: bool,
+    ) -> Iterator[Prediction]:
+        """Predict as :meth:`predict_batches` does, and warn its caller or nobody."""
         batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
         score = self._score(q, s_u, grid)
-        self._warn(score, q, s_u, grid)
+        if warns:
+            self._warn(score, q, s_u, grid, level=4)
 
         def predictions() -> Iterator[Prediction]:
             for start in range(0, len(q), batch):

@@ -192,6 +192,23 @@ def test_failed_fits_are_left_out_and_told(small_cases, config):
         Ensemble.fit(small_cases, config, FailingEngine(set(range(10000))), **fit)
 
 
+def test_an_ensemble_predicts_batch_by_batch(small_cases, ensemble):
+    inputs = 1.5 * small_cases.inflow, small_cases.area_undeformed
+    with pytest.warns(OutsideTrainingWarning, match="12 of 12 cases") as warned:
+        whole = ensemble.predict(*inputs)
+        batches = ensemble.predict_batches(*inputs, batch=5)
+    assert [w.filename for w in warned] == [__file__] * 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parts = list(batches)
+    assert [len(part) for part in parts] == [5, 5, 2]
+    found = pd.concat([part.to_frame() for part in parts], ignore_index=True)
+    assert "flow_deviation" in found
+    pd.testing.assert_frame_equal(found, whole.to_frame(), rtol=1e-9)
+    with pytest.raises(InputError, match="batch must be a whole number ≥ 1"):
+        ensemble.predict_batches(*inputs, batch=0)
+
+
 def test_save_and_load(small_cases, ensemble, engine, tmp_path):
     path = tmp_path / "ensemble.npz"
     ensemble.save(path)

@@ -126,12 +126,12 @@ def predict(
     given = read_inputs(inflow, area, fitted.grid, any_grid=fitted.any_grid)
     q, s_u = given.inflow, given.area_undeformed
     files = [out]
-    if isinstance(fitted, PCNDE) and not samples and suffix == ".csv":
+    # The members of an ensemble are its samples.
+    draws = {"samples": samples} if samples and isinstance(fitted, PCNDE) else {}
+    if suffix == ".csv" and not draws:
         parts = fitted.predict_batches(q, s_u, **given.where)
         count = save_csv(map(given.named, parts), out)
     else:
-        # The members of an ensemble are its samples.
-        draws = {"samples": samples} if isinstance(fitted, PCNDE) else {}
         prediction = given.named(fitted.predict(q, s_u, **given.where, **draws))
         files = prediction.save(out)
         count = len(prediction)
