@@ -17,7 +17,7 @@ from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.closures.uncertainty import Uncertainty, draw
+from pcnde_bridge.closures.uncertainty import Chances, Uncertainty, draw
 from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
@@ -280,8 +280,8 @@ class PCNDE:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             return self._predict_cases(inflow, samples, seed)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        score = self._score(q, s_u, grid)
-        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, samples, seed)
+        chances, score = self._chances(samples, seed, len(q)), self._score(q, s_u, grid)
+        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, chances)
 
     def predict_batches(
         self,
@@ -291,16 +291,19 @@ class PCNDE:
         batch: int = 256,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        samples: int = 0,
+        seed: int = 0,
     ) -> Iterator[Prediction]:
         """Predict as :meth:`predict` does, some cases after the others.
 
         Only the predictions that are still referred to take memory: a batch of 256 cases of
-        100 instants and 101 points has 62 MB, where 10 000 cases have 2.4 GB.
+        100 instants and 101 points has 62 MB, where 10 000 cases have 2.4 GB, and so has each
+        sample.
 
         Parameters
         ----------
-        inflow, area_undeformed, z, period
-            As of :meth:`predict`.
+        inflow, area_undeformed, z, period, samples, seed
+            As of :meth:`predict`; the draws are the same.
         batch : int
             Cases in each prediction; fewer in the last.
 
@@ -328,7 +331,7 @@ class PCNDE:
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        return self.batches(inflow, area_undeformed, batch, z, period, warns=True)
+        return self.batches(inflow, area_undeformed, batch, z, period, samples, seed, warns=True)
 
     def batches(
         self,
@@ -337,13 +340,15 @@ class PCNDE:
         batch: int,
         z: npt.ArrayLike | None,
         period: float | None,
+        samples: int = 0,
+        seed: int = 0,
         *,
         warns: bool,
     ) -> Iterator[Prediction]:
         """Predict as :meth:`predict_batches` does, and warn its caller or nobody."""
         batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        score = self._score(q, s_u, grid)
+        chances, score = self._chances(samples, seed, len(q)), self._score(q, s_u, grid)
         if warns:
             self._warn(score, q, s_u, grid, level=4)
 
@@ -351,9 +356,10 @@ class PCNDE:
             for start in range(0, len(q), batch):
                 rows = slice(start, min(start + batch, len(q)))
                 labels = _numbered(rows.start, rows.stop)
-                part = None if score is None else score[rows]
+                novelty = None if score is None else score[rows]
+                some = None if chances is None else chances.of(rows)
                 try:
-                    yield self._predict(q[rows], s_u[rows], grid, labels, part, 0, 0)
+                    yield self._predict(q[rows], s_u[rows], grid, labels, novelty, some)
                 except SolveError as error:
                     raise SolveError(
                         f"Of the batch that begins with case {start}: {error}"
@@ -394,7 +400,8 @@ class PCNDE:
         inputs = cases.inflow, cases.area_undeformed
         score = self._score(*inputs, grid)
         labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
-        return self._predict(*inputs, grid, labels, score, samples, seed)
+        chances = self._chances(samples, seed, len(cases))
+        return self._predict(*inputs, grid, labels, score, chances)
 
     @property
     def any_grid(self) -> bool:
@@ -424,6 +431,20 @@ class PCNDE:
         time = self.grid.time[0] + np.arange(float(n_times)) * (cycle / n_times)
         return Grid(time, points, cycle)
 
+    def _chances(self, samples: int, seed: int, count: int) -> Chances | None:
+        """Random numbers of the draws for all cases, or None for no draws."""
+        samples, seed = whole("samples", samples), whole("seed", seed)
+        if samples == 0:
+            return None
+        if samples == 1:
+            raise InputError("samples must be 0 or at least 2: one draw has no deviation.")
+        if self.uncertainty is None:
+            raise InputError(
+                "This model has no uncertainty to draw samples from. Fit it with the preset "
+                "'physics' (and correction.folds > 0)."
+            )
+        return Chances.draw(self.uncertainty, samples, count, np.random.default_rng(seed))
+
     def _predict(
         self,
         inflow: Array,
@@ -431,21 +452,12 @@ class PCNDE:
         grid: Grid,
         labels: pd.DataFrame,
         score: Array | None,
-        samples: int,
-        seed: int,
+        chances: Chances | None,
     ) -> Prediction:
-        samples, seed = whole("samples", samples), whole("seed", seed)
-        if samples == 1:
-            raise InputError("samples must be 0 or at least 2: one draw has no deviation.")
-        if samples and self.uncertainty is None:
-            raise InputError(
-                "This model has no uncertainty to draw samples from. Fit it with the preset "
-                "'physics' (and correction.folds > 0)."
-            )
         args = inflow, area_undeformed, grid
         solution = recipes.predict(self.engine, self.config, self.parameters, *args)
         drawn = None
-        if samples:
+        if chances is not None:
             assert self.uncertainty is not None
             assert isinstance(self.config, ClosureConfig)
             assert isinstance(self.parameters, ClosureParameters)
@@ -456,8 +468,7 @@ class PCNDE:
                 solution,
                 *args,
                 self.config,
-                int(samples),
-                np.random.default_rng(seed),
+                chances,
             )
         return Prediction(
             *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn

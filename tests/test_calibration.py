@@ -11,7 +11,7 @@ import pytest
 from pcnde_bridge import Cases, InputError
 from pcnde_bridge.calibration import Calibration
 from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.closures.uncertainty import Uncertainty, calibrate, draw
+from pcnde_bridge.closures.uncertainty import Chances, Uncertainty, calibrate, draw
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.engines.base import Solution
 from pcnde_bridge.grid import Grid
@@ -93,9 +93,9 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
         np.array(scale),
     )
     mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
-    rng = np.random.default_rng(0)
+    chances = Chances.draw(uncertainty, samples, len(amount), np.random.default_rng(0))
     grid = Grid(GRID.time, z, 1.0)
-    found = draw(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, samples, rng)
+    found = draw(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, chances)
     off = [(found[n] - getattr(mean, n)) / u for n, u in zip(VARIABLES, UNITS, strict=True)]
     return np.stack(off), np.concatenate(engine.shifts)
 

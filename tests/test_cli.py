@@ -356,7 +356,7 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
     batches, whole = [], PCNDE.predict_batches
 
     def in_fives(model, *inputs, **where):
-        for part in whole(model, *inputs, batch=5, **where):
+        for part in whole(model, *inputs, **{**where, "batch": 5}):
             batches.append(len(part))
             yield part
 

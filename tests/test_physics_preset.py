@@ -23,7 +23,7 @@ from test_closures import (
 from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.closures.training import ClosureTrainer
-from pcnde_bridge.closures.uncertainty import draw
+from pcnde_bridge.closures.uncertainty import Chances, draw
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.errors import FileError, SolveError
@@ -390,6 +390,21 @@ def test_batches_are_the_parts_of_the_whole(model, prediction):
     assert not np.shares_memory(first.flow, second.flow)
 
 
+def test_samples_of_batches_are_those_of_the_whole(model):
+    whole = model.predict(INFLOW, AREA, samples=4, seed=3)
+    parts = list(model.predict_batches(INFLOW, AREA, batch=6, samples=4, seed=3))
+    for name in VARIABLES:
+        joined = np.concatenate([part.samples[name] for part in parts], axis=1)
+        assert np.allclose(joined, whole.samples[name], rtol=1e-12, atol=0)
+        assert np.ptp(joined, axis=0).max() > 0
+    for options, message in (
+        ({"samples": 1}, "samples must be 0 or at least 2"),
+        ({"samples": 4, "seed": -1}, "seed must be a whole number ≥ 0"),
+    ):
+        with pytest.raises(InputError, match=message):
+            model.predict_batches(INFLOW, AREA, **options)
+
+
 def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
     for arguments, options, message in (
         ((INFLOW, -AREA), {}, "areas are positive"),
@@ -554,7 +569,7 @@ def test_a_draw_that_cannot_be_computed_is_told_from_the_prediction(model, cases
     mean = model.engine.closures.predict(model.parameters, np.zeros(2), *inputs, model.config)
     arguments = failing, model.parameters, model.uncertainty, mean, *inputs, model.config
     with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):
-        draw(*arguments, 8, np.random.default_rng(0))
+        draw(*arguments, Chances.draw(model.uncertainty, 8, 2, np.random.default_rng(0)))
 
 
 def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):

@@ -34,6 +34,8 @@ from pcnde_bridge.validation import counted
 if TYPE_CHECKING:
     from pcnde_bridge.figures import Entry
 
+_IN_MEMORY = 256  # predictions of a case while a table is written: 60 MB
+
 
 def info(
     model: Annotated[
@@ -127,12 +129,14 @@ def predict(
     q, s_u = given.inflow, given.area_undeformed
     files = [out]
     # The members of an ensemble are its samples.
-    draws = {"samples": samples} if samples and isinstance(fitted, PCNDE) else {}
-    if suffix == ".csv" and not draws:
-        parts = fitted.predict_batches(q, s_u, **given.where)
+    draws = {"samples": samples} if isinstance(fitted, PCNDE) else {}
+    if suffix == ".csv":
+        of_each = samples if isinstance(fitted, PCNDE) else len(fitted.members)
+        batch = max(1, _IN_MEMORY // (1 + of_each))
+        parts = fitted.predict_batches(q, s_u, batch=batch, **given.where, **draws)
         count = save_csv(map(given.named, parts), out)
     else:
-        prediction = given.named(fitted.predict(q, s_u, **given.where, **draws))
+        prediction = given.named(fitted.predict(q, s_u, **given.where))
         files = prediction.save(out)
         count = len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -84,6 +85,37 @@ class Uncertainty:
             raise InputError(f"The uncertainty's arrays do not belong together: {shapes}.")
 
 
+class Chances(NamedTuple):
+    """The random numbers of some draws: those of few cases are the same as among many.
+
+    Attributes
+    ----------
+    member : array of int of shape (sample,)
+        Which fit's correction.
+    shift : array of shape (sample, case)
+        Of the correction's logit.
+    noise : array of shape (3, sample, case)
+        Multiples of the profiles of flow, area and pressure.
+    """
+
+    member: npt.NDArray[np.int64]
+    shift: Array
+    noise: Array
+
+    @classmethod
+    def draw(
+        cls, uncertainty: Uncertainty, samples: int, count: int, rng: np.random.Generator
+    ) -> Chances:
+        """Draw them for ``count`` cases."""
+        member = rng.integers(len(uncertainty.members), size=samples)
+        shift = uncertainty.shift[0] * rng.standard_normal((samples, count))
+        return cls(member, shift, rng.standard_normal((len(VARIABLES), samples, count)))
+
+    def of(self, cases: slice) -> Chances:
+        """Those of some of the cases."""
+        return Chances(self.member, self.shift[:, cases], self.noise[:, :, cases])
+
+
 def calibrate(
     closures: Closures,
     parameters: ClosureParameters,
@@ -140,10 +172,9 @@ def draw(
     area_undeformed: Array,
     grid: Grid,
     config: ClosureConfig,
-    samples: int,
-    rng: np.random.Generator,
+    chances: Chances,
 ) -> dict[str, Array]:
-    """Draw predictions.
+    """Compute the draws of predictions.
 
     Returns
     -------
@@ -156,13 +187,11 @@ def draw(
         If a draw cannot be computed.
     """
     count = len(inflow)
-    chosen = rng.integers(len(uncertainty.members), size=samples)
-    shift = uncertainty.shift[0] * rng.standard_normal((samples, count))
     calibration = uncertainty.calibration
-    found = {name: np.empty((samples, *mean.flow.shape)) for name in VARIABLES}
-    largest = int(np.bincount(chosen).max(initial=0))
+    found = {name: np.empty((len(chances.member), *mean.flow.shape)) for name in VARIABLES}
+    largest = int(np.bincount(chances.member).max(initial=0))
     for number, member in enumerate(uncertainty.members):
-        rows = np.flatnonzero(chosen == number)
+        rows = np.flatnonzero(chances.member == number)
         if rows.size == 0:
             continue
         # As many draws of each member, some of them twice: another number is compiled anew.
@@ -170,7 +199,7 @@ def draw(
         try:
             solution = closures.predict(
                 parameters.replace(correction=member),
-                shift[rows].ravel(),
+                chances.shift[rows].ravel(),
                 np.tile(inflow, (rows.size, 1)),
                 np.tile(area_undeformed, (rows.size, 1)),
                 grid,
@@ -186,9 +215,8 @@ def draw(
     for number, name in enumerate(VARIABLES):
         centre = getattr(mean, name)
         shared = calibration.shared(name, grid.z)
-        noise = rng.standard_normal((samples, count, 1, 1)) * shared
         found[name] -= centre
-        found[name] += noise
+        found[name] += chances.noise[number, :, :, None, None] * shared
         found[name] *= calibration.scale[number]
         found[name] += centre
     return found
