@@ -98,8 +98,9 @@ class ClosureTrainer:
             raise InputError("The training cases' flow and pressure do not vary: nothing to learn.")
         if float(np.ptp(cases.area, axis=1).max()) <= _RIGID * float(cases.area.max()):
             raise InputError(
-                "The training cases' area does not change in time. The physics preset learns "
-                "compliant walls; for rigid ones use the preset 'paper' or 'fast'."
+                "The training cases' area does not change in time: their inflow is steady or "
+                "their walls are rigid. The physics preset learns from compliant walls in "
+                "pulsatile flow; use the preset 'paper' or 'fast'."
             )
         self.config = _decided(cases, config)
         self.on_record = on_record
