@@ -174,6 +174,13 @@ def test_cases_that_do_not_vary_are_refused():
     same = Cases(steady, 0.125 * steady, 1e5 * steady, AREA[:2], TIME, Z)
     with pytest.raises(InputError, match="do not vary"):
         fitted(same)
+    size = np.array([1.0, 2.0])[:, None, None]
+    steady_flow = Cases(size * steady, 0.125 * steady, size * 1e5 * steady, AREA[:2], TIME, Z)
+    wave = 1 + 0.1 * np.cos(2 * np.pi * TIME)[:, None]
+    rigid = Cases(wave * steady, 0.125 * steady, wave * 1e5 * steady, AREA[:2], TIME, Z)
+    for unchanging in (steady_flow, rigid):
+        with pytest.raises(InputError, match="inflow is steady or their walls are rigid"):
+            fitted(unchanging)
 
 
 def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
