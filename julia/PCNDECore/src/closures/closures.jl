@@ -120,7 +120,7 @@ function FlowClosure(
     vessels = Vessels(wall, losses, z, config)
     harmonics = Harmonics(size(inflow, 1), period)
     return FlowClosure(
-        OutletLaw(outlet, harmonics.omega),
+        OutletLaw(outlet, size(inflow, 1), period),
         wall,
         [vessels(view(area_undeformed, :, case)) for case in axes(area_undeformed, 2)],
         inflow,
@@ -261,7 +261,7 @@ function predict_closures!(
     outlet_parameters, losses, wall, correction = parameters
     n_times, n_cases = size(inflow)
     harmonics = remembered_harmonics(n_times, period)
-    outlet = OutletLaw(outlet_parameters, harmonics.omega)
+    outlet = OutletLaw(outlet_parameters, n_times, period)
     vessels = remembered_vessels(wall, losses, z, config)
     # Stronger waves need more passes: those of like strength end theirs together.
     order = sortperm(vec(maximum(abs, inflow; dims = 1)); rev = true)

@@ -4,8 +4,9 @@
 #     S     = π·(r_u + u_r[p])²,                           (wall)
 #     p     = p_d + 𝒵 Q(L) + losses[Q],                    (outlet, losses)
 #
-# periodic in time. Continuity with κ = 1 and g = 0 is the passive tube. The learned g is a
-# function of the response of the passive linear tube, which follows from the inflow alone.
+# periodic in time. With κ = 1 and g = 0 it is continuity. The learned g is a function of the
+# response of the passive linear tube, which follows from the inflow alone: the equation with
+# g = 0 and the learned κ, without the losses and the square in S, is linear in Q.
 #
 # The wall is linear in p and the losses are a sum of few products of functions of z and of
 # t, so that the integrals over z are done once for each vessel, exactly on its grid, and
@@ -64,9 +65,10 @@ function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
 end
 
 """
-    OutletLaw(parameters, omega)
+    OutletLaw(parameters, n_times, period)
 
-p(L) = p_d + 𝒵 Q(L) with 𝒵(ω) = R₁ + R₂/(1 + iωR₂C); `parameters` are R₁, R₂, C, p_d.
+p(L) = p_d + 𝒵 Q(L) with 𝒵(ω) = R₁ + R₂/(1 + iωR₂C); `parameters` are R₁, R₂, C, p_d. Of
+Nyquist's harmonic the instants show the part in phase only, and no slope.
 
   - `impedance`: 𝒵, dyn·s/cm⁵, and `rate`: iω𝒵, (harmonic).
   - `resistance`: 𝒵 if it is the same for all, else NaN.
@@ -79,11 +81,14 @@ struct OutletLaw
     distal_pressure::Float64
 end
 
-function OutletLaw(parameters, omega)
+function OutletLaw(parameters, n_times, period)
     r1, r2, compliance, distal_pressure = parameters
+    omega = frequencies(n_times, period)
     impedance = r1 .+ r2 ./ (1 .+ im .* omega .* r2 .* compliance)
+    rate = im .* omega .* impedance
+    iseven(n_times) && ((impedance[end], rate[end]) = (real(impedance[end]), 0))
     resistance = r2 * compliance == 0 ? r1 + r2 : NaN
-    return OutletLaw(impedance, im .* omega .* impedance, resistance, distal_pressure)
+    return OutletLaw(impedance, rate, resistance, distal_pressure)
 end
 
 """

@@ -2,7 +2,7 @@
 #
 # The cross-section's momentum balance with a free jet behind every narrowing:
 #
-#     −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·∂(Q·|Q|/A_j)/∂z.
+#     −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
 #
 # The area A_j(z) that carries the flow is S_u as long as the vessel narrows or widens slowly.
 # Where it widens faster the flow separates, and the jet's radius grows by the spread s per
@@ -41,14 +41,15 @@ end
 function Coefficients(parameters, area_undeformed, z, physics::Physics)
     friction, inertia, convection, spread = parameters
     steps = diff(z)
-    middle = (area_undeformed[2:end] .+ area_undeformed[1:(end - 1)]) ./ 2
+    # With this mean the pieces where A_j = S_u add up to the change of 1/(2·S_u²), exactly.
+    between = (1 ./ area_undeformed[2:end] .+ 1 ./ area_undeformed[1:(end - 1)]) ./ 2
     jet(area, dz) = convection .* physics.density .* diff(1 ./ jet_area(area, dz, spread))
     back = reverse(jet(reverse(area_undeformed), reverse(steps)))
     return Coefficients(
         friction .* 8π .* physics.viscosity ./ area_undeformed .^ 2,
         inertia .* physics.density ./ area_undeformed,
-        jet(area_undeformed, steps) ./ middle,
-        .-back ./ middle,
+        jet(area_undeformed, steps) .* between,
+        .-back .* between,
     )
 end
 

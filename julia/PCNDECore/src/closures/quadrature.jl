@@ -28,13 +28,9 @@ summed_from_inlet(pieces) = cumsum([zero(eltype(pieces)); pieces])
 """
     frequencies(n_times, period)
 
-ω of the harmonics of a real signal, rad/s; that of Nyquist, which has no slope, is 0.
+ω of the harmonics of a real signal, rad/s.
 """
-function frequencies(n_times::Integer, period::Real)
-    omega = 2π .* (0:(n_times ÷ 2)) ./ period
-    iseven(n_times) && (omega = [omega[1:(end - 1)]; 0.0])
-    return collect(omega)
-end
+frequencies(n_times::Integer, period::Real) = collect(2π .* (0:(n_times ÷ 2)) ./ period)
 
 """
     Harmonics(n_times, period)
@@ -43,7 +39,7 @@ The discrete Fourier transform of real signals as two matrices, which few instan
 fast as a fast one, and which take the derivative's numbers as they are. A signal is the sum
 of an even part, of the cosines, and an odd one, of the sines: half of the cycle is enough.
 
-  - `omega`: [`frequencies`](@ref), rad/s.
+  - `omega`: [`frequencies`](@ref), rad/s, but 0 of Nyquist's, which has no slope at the instants.
   - `cosine`, `sine`: at the instants of the first half, (time, harmonic).
   - `share`: of each harmonic in the signal; all but the mean and Nyquist's stand for two.
   - `n_times`: instants of the cycle.
@@ -58,6 +54,7 @@ end
 
 function Harmonics(n_times::Integer, period::Real)
     omega = frequencies(n_times, period)
+    iseven(n_times) && (omega[end] = 0.0)
     orders = instants = 0:(n_times ÷ 2)
     turn = cispi.(2 .* (0:(n_times - 1)) ./ n_times)
     waves = [turn[mod(k * t, n_times) + 1] for t in instants, k in orders]

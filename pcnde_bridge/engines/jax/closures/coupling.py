@@ -4,10 +4,10 @@ r"""Flow, area and pressure of one case, coupled: a spatial differential equatio
     S     = π·(r_u + u_r[p])²,                           (wall)
     p     = p_d + 𝒵 Q(L) + losses[Q],                    (outlet, losses)
 
-periodic in time.  Continuity with κ = 1 and g = 0 is the passive tube.  The learned g
+periodic in time.  With κ = 1 and g = 0 it is continuity.  The learned g
 (:mod:`~pcnde_bridge.engines.jax.closures.correction`) is a function of the response of
-the passive linear tube, which follows from the inflow alone: the equation is linear in Q
-up to the losses and the square in S.
+the passive linear tube, which follows from the inflow alone: the equation with g = 0 and the
+learned κ, without the losses and the square in S, is linear in Q.
 
 The wall is linear in p and the losses are a sum of few products of functions of z and
 of t, so that the integrals over z are done once for each vessel, exactly on its grid,
@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from pcnde_bridge.config import CorrectionClosure, Physics
 from pcnde_bridge.engines.jax.closures import losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
-from pcnde_bridge.engines.jax.closures.quadrature import frequencies, from_inlet
+from pcnde_bridge.engines.jax.closures.quadrature import derivative, frequencies, from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
 
 _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
@@ -120,11 +120,14 @@ def vessel_modes(
     )
 
 
-def impedance(outlet: jax.Array, omega: jax.Array) -> jax.Array:
-    """𝒵(ω) = R₁ + R₂/(1 + iωR₂C) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵."""
+def impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
+    """𝒵(ω) = R₁ + R₂/(1 + iωR₂C) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵, (harmonic).
+
+    Of Nyquist's harmonic the instants show the part in phase only.
+    """
     r1, r2, compliance, _ = outlet
-    z: jax.Array = r1 + r2 / (1 + 1j * omega * r2 * compliance)
-    return z
+    z: jax.Array = r1 + r2 / (1 + 1j * frequencies(n_times, period) * r2 * compliance)
+    return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
 
 
 def couple(
@@ -161,11 +164,11 @@ def couple(
         as derivatives need it.
     """
     n_times = inflow.shape[0]
-    i_omega = 1j * frequencies(n_times, period)
+    i_omega = derivative(n_times, period)
     # All harmonics but the mean and Nyquist's stand for two.
     share = jnp.where(2 * jnp.arange(i_omega.size) % n_times == 0, 1, 2) / n_times
     with_rates = jnp.stack([jnp.ones_like(i_omega), i_omega, i_omega**2])
-    z_outlet = impedance(outlet, i_omega.imag)
+    z_outlet = impedance(outlet, n_times, period)
     with_rate = z_outlet * with_rates[:2]
     kappa = storage_factor(correction)
     inflow_harmonics = jnp.fft.rfft(inflow)

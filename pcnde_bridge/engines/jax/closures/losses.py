@@ -2,7 +2,7 @@ r"""Pressure between a point and the outlet, from the momentum of the flow.
 
 The cross-section's momentum balance with a free jet behind every narrowing:
 
-    −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·∂(Q·|Q|/A_j)/∂z.
+    −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
 
 The area A_j(z) that carries the flow is S_u as long as the vessel narrows or widens
 slowly.  Where it widens faster the flow separates, and the jet's radius grows by the
@@ -14,8 +14,9 @@ the vessel again:
 For a sudden expansion this is Borda and Carnot's loss; the pressure drop that is not
 recovered has the form of Seeley and Young's turbulent term.  Nothing says where a
 stenosis is: S_u does, and there may be none, or several.  In a straight vessel
-A_j = S_u is constant and the third term is zero.  For reversed flow the jet goes the
-other way.
+A_j = S_u is constant and the third term is zero, and where the flow fills a vessel that
+narrows and widens again its sum is: what the flow takes to be faster it gives back.  For
+reversed flow the jet goes the other way.
 
 With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) what the wall stores of it
 (q − Q(L)) and ξ(z) the share of the storage before z, the pressure is a sum of few
@@ -75,7 +76,8 @@ def coefficients(
     """
     friction, inertia, convection, spread = parameters
     steps = jnp.diff(z)
-    middle = (area_undeformed[1:] + area_undeformed[:-1]) / 2
+    # With this mean the pieces where A_j = S_u add up to the change of 1/(2·S_u²), exactly.
+    between = (1 / area_undeformed[1:] + 1 / area_undeformed[:-1]) / 2
 
     def jet(area: jax.Array, dz: jax.Array) -> jax.Array:
         pieces: jax.Array = physics.density * jnp.diff(1 / jet_area(area, dz, spread))
@@ -85,8 +87,8 @@ def coefficients(
     return Coefficients(
         friction * 8 * jnp.pi * physics.viscosity / area_undeformed**2,
         inertia * physics.density / area_undeformed,
-        jet(area_undeformed, steps) / middle,
-        -jet(area_undeformed[::-1], steps[::-1])[::-1] / middle,
+        jet(area_undeformed, steps) * between,
+        -jet(area_undeformed[::-1], steps[::-1])[::-1] * between,
     )
 
 

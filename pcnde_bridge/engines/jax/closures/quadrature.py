@@ -24,13 +24,17 @@ def summed_from_inlet(pieces: jax.Array) -> jax.Array:
 
 
 def frequencies(n_times: int, period: jax.Array) -> jax.Array:
-    """ω of the harmonics of a real signal, rad/s; that of Nyquist, which has no slope, is 0."""
-    omega = 2 * jnp.pi * jnp.arange(n_times // 2 + 1) / period
-    return omega.at[-1].set(0.0) if n_times % 2 == 0 else omega
+    """ω of the harmonics of a real signal, rad/s."""
+    return 2 * jnp.pi * jnp.arange(n_times // 2 + 1) / period
+
+
+def derivative(n_times: int, period: jax.Array) -> jax.Array:
+    """iω, rad/s, but 0 of Nyquist's harmonic, which has no slope at the instants."""
+    i_omega = 1j * frequencies(n_times, period)
+    return i_omega.at[-1].set(0.0) if n_times % 2 == 0 else i_omega
 
 
 def rate(signal: jax.Array, period: jax.Array) -> jax.Array:
     """∂f/∂t of a periodic signal (..., time), exact for its Fourier series."""
     n_times = signal.shape[-1]
-    omega = frequencies(n_times, period)
-    return jnp.fft.irfft(1j * omega * jnp.fft.rfft(signal), n=n_times)
+    return jnp.fft.irfft(derivative(n_times, period) * jnp.fft.rfft(signal), n=n_times)
