@@ -20,7 +20,7 @@ def _process() -> int:
 
 @contextmanager
 def double_precision() -> Iterator[None]:
-    """Context in which JAX computes in float64, without touching the user's own setting.
+    """Context in which JAX computes in float64, whatever the user set, and leaves that as it is.
 
     JAX makes a ValueError of a Ctrl-C that comes while it compares settings; see
     :func:`pcnde_bridge.interrupts.kept`.
@@ -39,5 +39,7 @@ def double_precision() -> Iterator[None]:
 
     # Newer versions of JAX have it at the top, older ones under "experimental" only.
     where = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
-    with interrupts.kept(), where.enable_x64(True):
+    # The user's own code may be held to stricter rules than ours.
+    promotion = jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard")
+    with interrupts.kept(), where.enable_x64(True), promotion[0], promotion[1]:
         yield

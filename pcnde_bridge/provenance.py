@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
@@ -49,5 +49,5 @@ def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]
         },
         "platform": platform.platform(),
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "trained": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "trained": datetime.now(UTC).isoformat(timespec="seconds"),
     }

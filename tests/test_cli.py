@@ -26,6 +26,7 @@ from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.bench import checkpoint_name
 from pcnde_bridge.cli.console import note, note_warning, say
 from pcnde_bridge.doctor import Finding
+from pcnde_bridge.tables import read_frame
 
 
 @pytest.fixture
@@ -255,7 +256,7 @@ def test_evaluate(folder, tmp_path, run, small_model, small_cases, small_split):
     found = json.loads(as_json.read_text())
     split = small_cases.split(small_split)
     assert list(found) == ["train", "test"]
-    table = pd.read_csv(as_csv)
+    table = read_frame(as_csv)
     assert list(table.columns) == ["set", "geometry", "waveform", "flow", "area", "pressure"]
     assert len(table) == 11 + 1 + 1 + 1
     for name, cases in split._asdict().items():
@@ -331,7 +332,7 @@ def test_predict_one_case(folder, tmp_path, run, small_model, small_cases, suffi
     assert f"Saved 1 case in {out}" in printed
     expected = small_model.predict(small_cases.inflow[0], small_cases.area_undeformed[0])
     if suffix == ".csv":
-        found = pd.read_csv(out)
+        found = read_frame(out)
         frame = expected.to_frame()
         assert set(found.pop("name")) == set(pd.read_csv(folder / "inflow.csv").columns[1:])
         assert list(found.columns) == list(frame.columns)
@@ -366,7 +367,7 @@ def test_a_table_of_many_cases_is_written_batch_by_batch(
     assert "Saved 12 cases" in printed
     assert batches == [5, 5, 2]
     expected = small_model.predict(small_cases.inflow, small_cases.area_undeformed[0])
-    found = pd.read_csv(out)
+    found = read_frame(out)
     names = pd.read_csv(folder / "inflows.csv").columns[1:]
     assert list(found.pop("name").unique()) == list(names)
     pd.testing.assert_frame_equal(found, expected.to_frame(), rtol=1e-13)

@@ -44,6 +44,7 @@ from pcnde_bridge.formats.units import FACTORS
 from pcnde_bridge.grid import Grid
 from pcnde_bridge.parameters import initial_parameters
 from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.tables import read_frame
 from pcnde_bridge.variables import VARIABLES
 
 
@@ -598,7 +599,7 @@ def test_tidy_tables_round_trip(prediction, tmp_path):
         np.testing.assert_allclose(getattr(found, name), getattr(prediction, name), rtol=1e-14)
     prediction.save(tmp_path / "p.csv.gz")
     assert read_csv(tmp_path / "p.csv.gz", period=1.0) == found
-    frame = pd.read_csv(tmp_path / "p.csv").sample(frac=1.0, random_state=1)
+    frame = read_frame(tmp_path / "p.csv").sample(frac=1.0, random_state=1)
     frame.to_csv(tmp_path / "shuffled.csv", index=False)
     assert read_csv(tmp_path / "shuffled.csv", period=1.0) == found
 

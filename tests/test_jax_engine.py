@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid, solve_ivp
+from test_closures import solve
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines import select_engine
@@ -328,6 +329,17 @@ def test_the_users_jax_precision_stays_as_it_was():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_users_stricter_rules_are_not_ours(small_model, small_cases):
+    import jax
+
+    expected = small_model.predict(small_cases)
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        found = small_model.predict(small_cases)
+        waves = solve()
+    assert np.array_equal(found.pressure, expected.pressure)
+    assert np.array_equal(waves.pressure, solve().pressure)
 
 
 @pytest.mark.parametrize("anchor", ["last_instant", "last_cycle", "undeformed"])

@@ -28,6 +28,7 @@ from pcnde_bridge.fits import FitTask, fit_model, model_of
 from pcnde_bridge.held_out import each_waveform_and_geometry
 from pcnde_bridge.info import describe, lines
 from pcnde_bridge.metrics import coverage, pooled_errors
+from pcnde_bridge.tables import read_frame
 from pcnde_bridge.tasks import processes, run
 from pcnde_bridge.variables import VARIABLES
 
@@ -491,7 +492,7 @@ def test_cross_validation_on_the_command_line(commands, small_cases, config, eng
     table = cross_validate(small_cases, config, engine, progress=False)
     assert f"{table.loc[('geometry', 2), 'pressure']:.4f}" in printed
     assert "mean, waveform" in printed
-    written = pd.read_csv("table.csv", index_col=["label", "value"])
+    written = read_frame("table.csv", index_col=["label", "value"])
     np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
 
 

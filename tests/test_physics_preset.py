@@ -31,6 +31,7 @@ from pcnde_bridge.grid import Grid
 from pcnde_bridge.held_out import neighbouring_parts
 from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.tables import read_frame
 
 VARIABLES = ("flow", "area", "pressure")
 SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}
@@ -706,7 +707,7 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     )
     assert code == 0
     expected = model.predict(waves(time)[[0, 3]], AREA[[0, 7]], samples=8)
-    found = pd.read_csv(result)
+    found = read_frame(result)
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
     deviation = expected.deviation()["pressure"].ravel()
     assert np.allclose(found["pressure_deviation"], deviation, rtol=1e-6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +16,7 @@ from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import check_writable
 
 
-class EngineChoice(str, Enum):
+class EngineChoice(StrEnum):
     """Engines that ``--engine`` knows."""
 
     auto = "auto"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from pcnde_bridge.cli.options import check_outputs
 from pcnde_bridge.errors import InputError, PCNDEError
 
 
-class FileFormat(str, Enum):
+class FileFormat(StrEnum):
     """Files that ``pcnde convert`` reads."""
 
     simvascular = "simvascular"
@@ -24,7 +24,7 @@ class FileFormat(str, Enum):
     hdf5 = "hdf5"
 
 
-class Flip(str, Enum):
+class Flip(StrEnum):
     """What ``pcnde convert --flip`` turns."""
 
     flow = "flow"
