@@ -256,6 +256,11 @@ class Ensemble:
         -----
         OutsideTrainingWarning
             If an input lies outside the training data.
+
+        Raises
+        ------
+        InputError, SolveError
+            As :meth:`PCNDE.predict_batches`.
         """
         given = inflow, area_undeformed, batch, z, period
         # All know the same training data: one warning is enough.

@@ -39,7 +39,11 @@ def double_precision() -> Iterator[None]:
 
     # Newer versions of JAX have it at the top, older ones under "experimental" only.
     where = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
-    # The user's own code may be held to stricter rules than ours.
-    promotion = jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard")
-    with interrupts.kept(), where.enable_x64(True), promotion[0], promotion[1]:
+    with (
+        interrupts.kept(),
+        where.enable_x64(True),
+        # The user's own code may be held to stricter rules than ours.
+        jax.numpy_rank_promotion("allow"),
+        jax.numpy_dtype_promotion("standard"),
+    ):
         yield

@@ -34,7 +34,7 @@ from pcnde_bridge.validation import counted
 if TYPE_CHECKING:
     from pcnde_bridge.figures import Entry
 
-_IN_MEMORY = 256  # predictions of a case while a table is written: 60 MB
+_IN_MEMORY = 256  # predictions of single cases, with their samples, while a table is written
 
 
 def info(
@@ -128,10 +128,11 @@ def predict(
     given = read_inputs(inflow, area, fitted.grid, any_grid=fitted.any_grid)
     q, s_u = given.inflow, given.area_undeformed
     files = [out]
-    # The members of an ensemble are its samples.
-    draws = {"samples": samples} if isinstance(fitted, PCNDE) else {}
     if suffix == ".csv":
-        of_each = samples if isinstance(fitted, PCNDE) else len(fitted.members)
+        if isinstance(fitted, PCNDE):
+            draws, of_each = {"samples": samples}, samples
+        else:  # whose members are its samples
+            draws, of_each = {}, len(fitted.members)
         batch = max(1, _IN_MEMORY // (1 + of_each))
         parts = fitted.predict_batches(q, s_u, batch=batch, **given.where, **draws)
         count = save_csv(map(given.named, parts), out)
