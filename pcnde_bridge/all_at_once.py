@@ -5,7 +5,7 @@ model like any other.  Only the way to the minimum differs:
 
 - the flow network by L-BFGS without restarts, in whitened weights: first along the data's flow,
   its last layer by least squares (:mod:`pcnde_bridge.known_flow`), from a few starts; from the
-  best of these through the equation;
+  best of these through the equation; weaker waves' squares weigh more (:func:`wave_weight`);
 - (â, b̂) and (a, b) by least squares, point by point;
 - the pressure network's last layer by least squares inside the L-BFGS fit of the
   layers before it (variable projection, Golub and Pereyra 1973);
@@ -50,6 +50,7 @@ Array = npt.NDArray[np.float64]
 
 _SAMPLES = 4000  # about so many of the flow network's inputs give their spread
 _AGREEMENT = 0.5  # of stored volume and flow, squared correlation, for one to tell of the other
+_WEAKEST = 0.3  # of the median wave; what is weaker weighs no more
 _RIDGE = 1e-9  # on the pressure network's last layer, p_ref²
 
 
@@ -163,6 +164,36 @@ def balanced_flow(cases: Cases, fitted: Positions, config: PCNDEConfig) -> Array
     return balanced
 
 
+def wave_weight(inflow: Array, fitted: Positions, power: float) -> Array:
+    """Return the weight of each case's squares: weaker waves have smaller errors.
+
+    What the model leaves grows with the wave, so that equal weights fit the remainders of the
+    strongest waves at the cost of all others (weighted least squares).
+
+    Parameters
+    ----------
+    inflow : array of shape (case, time)
+        Q at the inlet, mL/s.
+    fitted : array of int
+        The cases whose weights have the mean 1.
+    power : float
+        The weight goes as the inflow's range over time to the power −``power``; a range
+        below 0.3 of the fitted cases' median counts as that.
+
+    Returns
+    -------
+    array of shape (case,)
+        Ones if no fitted inflow varies.
+    """
+    wave = np.ptp(inflow, axis=1)
+    typical = float(np.median(wave[fitted]))
+    if typical == 0:
+        return np.ones(len(inflow))
+    weight = np.maximum(wave / typical, _WEAKEST) ** -power
+    result: Array = weight / weight[fitted].mean()
+    return result
+
+
 def fit_flow(
     starts: Sequence[Array],
     cases: Cases,
@@ -212,10 +243,11 @@ def fit_flow(
     whitening = Whitening(
         samples[:: max(1, len(samples) // _SAMPLES)], config.flow.hidden[0], settings.whitening
     )
-    chosen = np.isin(np.arange(len(cases)), fitted)
+    weight = wave_weight(cases.inflow, fitted, settings.wave_weight)
+    counted = np.where(np.isin(np.arange(len(cases)), fitted), weight, 0.0)
     inputs = FlowInputs(cases.inflow, area)
     target = balanced_flow(cases, fitted, config)
-    evaluate = engine.flow.objective(inputs, target, chosen, grid, config)
+    evaluate = engine.flow.objective(inputs, target, counted, grid, config)
 
     def objective(coordinates: Array) -> tuple[float, Array]:
         loss, gradient = evaluate(whitening.parameters(coordinates))
@@ -250,7 +282,7 @@ def fit_flow(
     if config.flow.terms:
         iterations += settings.known_flow_iterations
     else:
-        known = KnownFlow(target, area, grid.z, selection, whitening, config)
+        known = KnownFlow(target, area, weight, grid.z, selection, whitening, config)
         last = len(starts)
         ends = [known.fit(vector, record(i), engine.lbfgs) for i, vector in enumerate(starts, 1)]
         # Should the equation diverge with all that they give, it does not with the first start.

@@ -407,6 +407,9 @@ class AllAtOnce(_Section):
     mean_flow : {'area', 'data'}
         Whose mean over the cycle the flow is fitted to: that which the data's area asks
         for (:func:`pcnde_bridge.all_at_once.balanced_flow`), or the data's flow's.
+    wave_weight : float
+        Each case's squares of the flow count by its inflow's range over time to the power
+        of minus this (:func:`pcnde_bridge.all_at_once.wave_weight`); 0 counts all alike.
     known_flow_iterations : int
         L-BFGS iterations of each of these, and of the one in each later round, along the
         data's flow (:mod:`pcnde_bridge.known_flow`).
@@ -434,6 +437,7 @@ class AllAtOnce(_Section):
     rounds: int = _positive(2)
     starts: int = _positive(1)
     mean_flow: Literal["area", "data"] = "area"
+    wave_weight: float = 1.5
     known_flow_iterations: int = _positive(120)
     iterations: int = _positive(20)
     later_iterations: int = _positive(60)

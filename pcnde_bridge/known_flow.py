@@ -38,26 +38,29 @@ class _Part:
     The design matrix of the least squares has a row for each case and point.
     """
 
-    def __init__(self, flow: Array, area: Array, z: Array) -> None:
+    def __init__(self, flow: Array, area: Array, weight: Array, z: Array) -> None:
         self.z = z - z[0]
         seen = np.concatenate([flow, area], axis=1)
         self.inputs = np.moveaxis(seen, 1, 2).reshape(-1, seen.shape[1])
         gained = np.moveaxis(flow - flow[:, :, :1], 1, 2)
         self.shape = gained.shape[:2]
-        self.target: Array = gained.reshape(-1, gained.shape[2])
+        # Of rows, so that squares have the weight itself.
+        self._root = np.repeat(np.sqrt(weight), z.size)[:, None]
+        self.target: Array = self._root * gained.reshape(-1, gained.shape[2])
 
     def design(self, hidden: Array) -> Array:
-        """∫ h dz' and z − z₀, (case·z, hidden + 1), by the trapezoidal rule."""
+        """∫ h dz' and z − z₀, (case·z, hidden + 1), by the trapezoidal rule, weighted."""
         from scipy.integrate import cumulative_trapezoid
 
         h = hidden.reshape(*self.shape, -1)
         integral = cumulative_trapezoid(h, self.z, axis=1, initial=0)
         z = np.broadcast_to(self.z[:, None], (*self.shape, 1))
-        return np.concatenate([integral, z], axis=2).reshape(len(self.inputs), -1)
+        design: Array = np.concatenate([integral, z], axis=2).reshape(len(self.inputs), -1)
+        return self._root * design
 
     def design_gradient(self, gradient: Array) -> Array:
         """By h, from that by ∫ h dz'."""
-        g = gradient.reshape(*self.shape, -1)
+        g = (self._root * gradient).reshape(*self.shape, -1)
         # What a step between two points receives is the sum of all points behind it.
         behind = np.cumsum(g[:, :0:-1], axis=1)[:, ::-1] * np.diff(self.z)[:, None] / 2
         result = np.zeros_like(g)
@@ -75,6 +78,8 @@ class KnownFlow:
         Q of all training cases, mL/s.
     area : array of shape (case, time, z)
         S that the network sees, cm².
+    weight : array of shape (case,)
+        Of each case's squares.
     z : array of shape (z,)
         Points, cm.
     selection : tuple of arrays of int
@@ -89,6 +94,7 @@ class KnownFlow:
         self,
         flow: Array,
         area: Array,
+        weight: Array,
         z: Array,
         selection: tuple[npt.NDArray[np.int64], ...],
         whitening: Whitening,
@@ -96,7 +102,7 @@ class KnownFlow:
     ) -> None:
         self._settings = config.all_at_once
         self._whitening = whitening
-        self._parts = [_Part(flow[chosen], area[chosen], z) for chosen in selection]
+        self._parts = [_Part(flow[c], area[c], weight[c], z) for c in selection]
         self._seen = [whitening.inputs(part.inputs) for part in self._parts]
         hidden = config.flow.hidden
         self._hidden = HiddenLayers((self._seen[0].shape[1], *hidden), config.flow.activation)

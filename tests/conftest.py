@@ -167,7 +167,8 @@ class ToyStage:
             gradient += (rise - fall) * row
         return self._loss(parameters, inputs, target, grid, config), gradient
 
-    def objective(self, inputs, target, chosen, grid, config):
+    def objective(self, inputs, target, weight, grid, config):
+        chosen = np.asarray(weight) > 0
         arrays = {f.name: getattr(inputs, f.name)[chosen] for f in dataclasses.fields(inputs)}
         part = type(inputs)(**arrays)
         return lambda x: self.loss_and_gradient(x, part, target[chosen], grid, config)

@@ -556,7 +556,24 @@ def known_flow(cases, config, chosen):
     seen = np.moveaxis(np.concatenate([cases.flow, area], axis=1), 1, 2)
     inputs = seen.reshape(-1, 2 * cases.n_times)
     whitening = Whitening(inputs, config.flow.hidden[0], config.all_at_once.whitening)
-    return KnownFlow(cases.flow, area, cases.z, chosen, whitening, config), whitening, area
+    weight = fast.wave_weight(cases.inflow, chosen[0], config.all_at_once.wave_weight)
+    known = KnownFlow(cases.flow, area, weight, cases.z, chosen, whitening, config)
+    return known, whitening, area
+
+
+def test_weaker_waves_weigh_more_up_to_a_bound():
+    wave = np.cos(2 * np.pi * np.arange(8) / 8)
+    inflow = 1 + np.array([0.0, 0.1, 1.0, 2.0, 4.0])[:, None] * wave
+    everything, power = np.arange(5), 1.5
+    found = fast.wave_weight(inflow, everything, power)
+    expected = np.array([0.3, 0.3, 1.0, 2.0, 4.0]) ** -power
+    assert np.allclose(found, expected / expected.mean())
+    assert np.allclose(fast.wave_weight(inflow, everything, 0.0), 1.0)
+    # The others' weights follow those of the fitted cases.
+    some = fast.wave_weight(inflow, np.array([2, 3, 4]), 1.0)
+    assert np.allclose(some[2:], np.array([2.0, 1.0, 0.5]) / (3.5 / 3))
+    assert np.isclose(some[0], (1 / 0.3) / (3.5 / 3))
+    assert np.array_equal(fast.wave_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
 
 
 @pytest.mark.parametrize("loss", ["mean", "sum"])
@@ -580,7 +597,8 @@ def test_the_gradient_along_the_known_flow(small_cases, everything, activation, 
 
 def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, small_cases, grid):
     everything = (np.arange(len(small_cases)),)
-    config = LITTLE.replace(all_at_once={"known_flow_iterations": 60, "weight_decay": 0.0})
+    settings = {"known_flow_iterations": 60, "weight_decay": 0.0, "wave_weight": 0.0}
+    config = LITTLE.replace(all_at_once=settings)
     known, _, area = known_flow(small_cases, config, everything)
     start, losses = initial_parameters(config, 20, 21, 0).flow, []
     fitted = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
@@ -687,10 +705,10 @@ def test_the_published_cases(published_cases):
     split = published_cases.split("paper")
     model = PCNDE.fit(split.train, "fast", engine="jax", seed=0, progress=False)
     trained = pooled_errors(model.predict(split.train).variables(), split.train)
-    assert trained["flow"] < 0.0027
+    assert trained["flow"] < 0.0029  # 0.0024 with every case's squares counted alike
     assert trained["area"] < 0.0030
     assert trained["pressure"] < 0.0042
     tested = pooled_errors(model.predict_silently(split.test).variables(), split.test)
-    assert tested["flow"] < 0.0080
-    assert tested["area"] < 0.0078
-    assert tested["pressure"] < 0.0130
+    assert tested["flow"] < 0.0055
+    assert tested["area"] < 0.0060
+    assert tested["pressure"] < 0.0082

@@ -361,6 +361,24 @@ def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
 
 
 @marked
+@pytest.mark.parametrize("loss", ["mean", "sum"])
+def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss):
+    vector, inputs, target, grid, config = flow_problem
+    config = config.replace(flow={"loss": loss, "steps": 12})
+    weight = np.random.default_rng(0).uniform(0.2, 3.0, size=len(target))
+    weight[::3] = 0
+    found, gradient = engine.flow.objective(inputs, target, weight, grid, config)(vector)
+    jax = select_engine("jax").flow.objective(inputs, target, weight, grid, config)
+    expected, theirs = jax(vector)
+    assert found == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(gradient, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+    squares = (engine.flow.solve(vector, inputs, grid, config) - target) ** 2
+    each = squares.sum(axis=(1, 2)) if loss == "sum" else squares.mean(axis=(1, 2))
+    total = weight @ each / (1 if loss == "sum" else weight.sum())
+    assert found == pytest.approx(total, rel=1e-10)
+
+
+@marked
 def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     broken = np.full_like(vector, np.nan)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from pcnde_bridge.engines.closures import Closures
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ class Stage(Protocol[InputsT]):
         ...
 
     def objective(
-        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """Make :meth:`loss_and_gradient` ready for many evaluations.
 
@@ -235,8 +234,8 @@ class Stage(Protocol[InputsT]):
         ----------
         inputs, target, grid, config
             As of :meth:`loss_and_gradient`.
-        chosen : array of bool of shape (case,)
-            True for the cases that count.
+        weight : array of shape (case,)
+            Of each case's squares; a case of weight 0 does not count.
 
         Returns
         -------

@@ -88,13 +88,15 @@ end
 const HELD = Ref{Any}()
 
 """
-    hold(stage, inputs, target, z, period, config)
+    hold(stage, inputs, target, weight, z, period, config)
 
 Keep the problem of [`loss_and_gradient`](@ref) for [`held_loss_and_gradient`](@ref), in
-place of the one before.
+place of the one before; `weight` (case) is that of each case's squares.
 """
-hold(stage::String, inputs, target, z, period, config::Config) =
-    (HELD[] = problem(stage, inputs, target, z, period, config); nothing)
+function hold(stage::String, inputs, target, weight, z, period, config::Config)
+    HELD[] = set_weight!(problem(stage, inputs, target, z, period, config), weight)
+    return nothing
+end
 
 """
     held_loss_and_gradient(θ)

@@ -169,7 +169,8 @@ struct FlowProblem{F, T, L, I} <: Objective
     interpolation::Matrix{Float64}  # (z, 7): weights of a step's slopes, times its length
     step_of::Vector{Int}            # (z): the step that each point lies in
     states::Matrix{Float64}         # (state, case·z)
-    residual::Matrix{Float64}       # (time, case·z): Q − target
+    residual::Matrix{Float64}       # (time, case·z): Q − target, for a loss times root_weight
+    root_weight::Vector{Float64}    # (case): of the squares, its root
     room::FlowGradientRoom
 end
 
@@ -245,6 +246,7 @@ function FlowProblem(
         zeros(Int, n_points),
         zeros(n_state, n_cases * n_points),
         on_grid(),
+        ones(n_cases),
         FlowGradientRoom(n_state, stage.hidden, n_cases, n_points),
     )
     return set_cases!(problem, inflow, area, target)
@@ -357,12 +359,30 @@ function residual!(problem::FlowProblem)
     return residual
 end
 
-scale(problem::FlowProblem) =
-    problem.stage.loss == "mean" ? 1 / length(problem.residual) : 1.0
+set_weight!(problem::FlowProblem, weight) = (problem.root_weight .= sqrt.(weight); problem)
+
+"""
+    weigh!(problem)
+
+Multiply the residual by the roots of the weights.
+"""
+function weigh!(problem::FlowProblem)
+    residual, root = problem.residual, problem.root_weight
+    by_case = reshape(residual, size(residual, 1), length(root), :)
+    by_case .*= reshape(root, 1, :)
+    return residual
+end
+
+function scale(problem::FlowProblem)
+    problem.stage.loss == "mean" || return 1.0
+    mean_weight = sum(abs2, problem.root_weight) / length(problem.root_weight)
+    return 1 / (length(problem.residual) * mean_weight)
+end
 
 function value!(problem::FlowProblem, parameters)
     integrate!(problem, parameters) || return Inf
-    residual = residual!(problem)
+    residual!(problem)
+    residual = weigh!(problem)
     return scale(problem) * dot(residual, residual)
 end
 

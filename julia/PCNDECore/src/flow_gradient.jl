@@ -20,9 +20,10 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
         return Inf
     end
     (; network, last, room, inflow, area) = problem
-    residual = residual!(problem)
+    residual!(problem)
+    residual = weigh!(problem)
     loss = scale(problem) * dot(residual, residual)
-    rmul!(residual, 2 * scale(problem))
+    rmul!(weigh!(problem), 2 * scale(problem))
     mul!(room.state_slopes, last', residual)
     evaluate_again!(problem)
     fill!(gradient, 0.0)

@@ -63,7 +63,7 @@
         solve("flow", θ, (wave, area), z, 1.0, with_terms)
         fit("flow", θ, (wave, area), flow, z, 1.0, with_terms, 2, (_, _) -> nothing)
         losses("flow", reshape(θ, :, 1), (wave, area), flow, z, 1.0, with_terms)
-        hold("flow", (wave, area), flow, z, 1.0, Config())
+        hold("flow", (wave, area), flow, ones(size(flow, 3)), z, 1.0, Config())
         lbfgs(bowl, [1.0, 2.0], 3, 2, (_, _) -> nothing)
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
         closure("losses", closures[2], (flow, area_undeformed), z, 1.0, chosen)

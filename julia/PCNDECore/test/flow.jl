@@ -78,6 +78,27 @@ const tight = (rtol = 1e-11, atol = 1e-13, max_steps = 4096)
     )
 end
 
+@testset "flow: weights" begin
+    weight = range(0.5, 2.0, n_cases)
+    for loss in ("mean", "sum")
+        stage = FlowStage(; steps = 9, loss)
+        parameters = glorot(flow_widths(stage), MersenneTwister(3))
+        problem = set_weight!(flow_problem(stage), weight)
+        squares = (solve_flow(parameters, data.inflow, data.area, z, stage) .- data.flow) .^ 2
+        total = sum(weight .* vec(sum(squares; dims = (1, 2))))
+        expected = loss == "sum" ? total : total / (n_times * n_points * sum(weight))
+        @test value!(problem, parameters) ≈ expected rtol = 1e-12
+        check_gradient(problem, parameters; rtol = 1e-6)
+        # As before it was weighed.
+        set_weight!(problem, ones(n_cases))
+        @test value!(problem, parameters) == value!(flow_problem(stage), parameters)
+    end
+    areas = (data.area_undeformed, data.area)
+    other = fourier_area_problem(data.flow, areas..., 0.8, z, FourierAreaStage(terms = 8))
+    @test set_weight!(other, ones(n_cases)) === other
+    @test_throws ArgumentError set_weight!(other, weight)
+end
+
 @testset "flow: hot loop" begin
     stage = FlowStage()
     parameters = glorot(flow_widths(stage), MersenneTwister(1))

@@ -4,9 +4,9 @@ using PCNDECore:
     Network, Objective, Optimiser, Physics, PhysicsTerms, SolveError, SpatialPressure,
     SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
     TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
-    intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!, solve,
-    solve_flow,
-    solve_intermediate_area, solve_temporal_flow, value!, value_and_gradient!
+    intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!,
+    set_weight!, solve, solve_flow, solve_intermediate_area, solve_temporal_flow, value!,
+    value_and_gradient!
 using LinearAlgebra
 using LineSearches: BackTracking
 using Lux: Lux

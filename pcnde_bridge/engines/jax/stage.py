@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Mask, Objective, OnIteration
+from pcnde_bridge.engines.base import Fit, Objective, OnIteration
 from pcnde_bridge.engines.jax.bfgs import minimise
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.grid import Grid
@@ -127,14 +127,14 @@ class JaxStage(Generic[InputsT]):
             return np.concatenate(parts)
 
     def objective(
-        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
-        # The others have weight 0, so that every choice is compiled once.
+        # Cases of weight 0 stay, so that every choice is compiled once.
         with double_precision():
             arrays = tuple(jnp.asarray(a) for a in _arrays(inputs))
-            weight, settings = jnp.asarray(chosen, dtype=float), self._relevant(config)
-            data = arrays, weight, jnp.asarray(target), _on_device(grid)
+            weights, settings = jnp.asarray(weight, dtype=float), self._relevant(config)
+            data = arrays, weights, jnp.asarray(target), _on_device(grid)
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
             with double_precision():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pcnde_bridge import interrupts
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Mask, Objective, OnIteration
+from pcnde_bridge.engines.base import Fit, Objective, OnIteration
 from pcnde_bridge.engines.julia.process import Julia
 from pcnde_bridge.grid import Grid
 
@@ -68,14 +68,15 @@ class JuliaStage(Generic[InputsT]):
         )
 
     def objective(
-        self, inputs: InputsT, target: Array, chosen: Mask, grid: Grid, config: PCNDEConfig
+        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.base.Stage`."""
+        chosen = weight > 0
         chosen_inputs = dataclasses.replace(
             inputs,  # type: ignore[type-var]
             **{f.name: getattr(inputs, f.name)[chosen] for f in fields(inputs)},  # type: ignore[arg-type]
         )
-        arrays, chosen_target = _arrays(chosen_inputs), target[chosen]
+        arrays, given = _arrays(chosen_inputs), (target[chosen], np.asarray(weight[chosen], dtype=float))
         ours = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
@@ -84,7 +85,7 @@ class JuliaStage(Generic[InputsT]):
             if self._julia.held is not ours:
                 self._julia.held = None
                 period = float(grid.period)
-                self._julia.call("hold", self._name, arrays, chosen_target, grid.z, period, config)
+                self._julia.call("hold", self._name, arrays, *given, grid.z, period, config)
                 self._julia.held = ours
             loss, gradient = self._julia.call("held_loss_and_gradient", parameters)
             return float(loss), gradient
