@@ -183,13 +183,14 @@ def wave_weight(inflow: Array, fitted: Positions, power: float) -> Array:
     Returns
     -------
     array of shape (case,)
-        Ones if no fitted inflow varies.
+        Ones if the fitted median is 0.
     """
     wave = np.ptp(inflow, axis=1)
     typical = float(np.median(wave[fitted]))
     if typical == 0:
         return np.ones(len(inflow))
-    weight = np.maximum(wave / typical, _WEAKEST) ** -power
+    counted = np.maximum(wave / typical, _WEAKEST)
+    weight = (counted / counted[fitted].min()) ** -power  # no power is too large
     result: Array = weight / weight[fitted].mean()
     return result
 
@@ -256,7 +257,8 @@ def fit_flow(
     def validation_error(coordinates: Array) -> float:
         flow = engine.flow.solve(whitening.parameters(coordinates), inputs, grid, config)
         held = selection[1]
-        return float(np.mean((flow[held] - target[held]) ** 2))
+        square = np.mean((flow[held] - target[held]) ** 2, axis=(1, 2))
+        return float(np.mean(weight[held] * square))
 
     unit = float(np.mean(target[fitted] ** 2))
     if config.flow.loss == "sum":

@@ -574,6 +574,7 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
     assert np.allclose(some[2:], np.array([2.0, 1.0, 0.5]) / (3.5 / 3))
     assert np.isclose(some[0], (1 / 0.3) / (3.5 / 3))
     assert np.array_equal(fast.wave_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
+    assert np.allclose(fast.wave_weight(inflow, everything, 1e6), [2.5, 2.5, 0, 0, 0])
 
 
 @pytest.mark.parametrize("loss", ["mean", "sum"])
