@@ -492,6 +492,27 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     assert not np.array_equal(fit(small_cases, everything), fit(other, everything))
 
 
+def test_the_validation_error_has_the_weights_of_the_loss(engine, small_cases, grid, monkeypatch):
+    fitted, held = parts = training_and_validation(small_cases, 0.3, 0)
+    area = undeformed(small_cases.area_undeformed, 20)
+    start = initial_parameters(LITTLE, 20, 21, 0).flow
+    errors = []
+
+    def validated_once(objective, coordinates, settings, iterations, unit, validate, *_, **__):
+        errors.append(validate(coordinates))
+        return coordinates
+
+    monkeypatch.setattr(fast, "minimise", validated_once)
+    monkeypatch.setattr(KnownFlow, "fit", lambda _, start, *__: start)
+    vector = fast.fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
+    flow = engine.flow.solve(vector, FlowInputs(small_cases.inflow, area), grid, LITTLE)
+    off = flow - fast.balanced_flow(small_cases, fitted, LITTLE)
+    power = LITTLE.all_at_once.wave_weight
+    weight = fast.wave_weight(small_cases.inflow, fitted, power)[held]
+    assert np.ptp(weight) > 0.1
+    assert errors == pytest.approx([np.mean(weight[:, None, None] * off[held] ** 2)])
+
+
 @pytest.mark.parametrize("validation", [0.0, 0.3])
 @pytest.mark.parametrize("terms", [(), ("inertia",)])
 def test_the_best_of_several_starts_goes_on(
