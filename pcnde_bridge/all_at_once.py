@@ -50,7 +50,7 @@ Array = npt.NDArray[np.float64]
 
 _SAMPLES = 4000  # about so many of the flow network's inputs give their spread
 _AGREEMENT = 0.5  # of stored volume and flow, squared correlation, for one to tell of the other
-_WEAKEST = 0.3  # of the median wave; what is weaker weighs no more
+_OF_MEDIAN, _OF_LARGEST = 0.3, 0.1  # waves that are weaker than these parts weigh no more
 _RIDGE = 1e-9  # on the pressure network's last layer, p_ref²
 
 
@@ -178,19 +178,20 @@ def wave_weight(inflow: Array, fitted: Positions, power: float) -> Array:
         The cases whose weights have the mean 1.
     power : float
         The weight goes as the inflow's range over time to the power −``power``; a range
-        below 0.3 of the fitted cases' median counts as that.
+        below 0.3 of the fitted cases' median, 0.1 of their largest or their weakest counts
+        as that.
 
     Returns
     -------
     array of shape (case,)
-        Ones if the fitted median is 0.
+        Ones if no fitted inflow varies.
     """
     wave = np.ptp(inflow, axis=1)
-    typical = float(np.median(wave[fitted]))
-    if typical == 0:
+    seen = wave[fitted]
+    floor = max(_OF_MEDIAN * np.median(seen), _OF_LARGEST * seen.max(), seen.min())
+    if floor == 0:
         return np.ones(len(inflow))
-    counted = np.maximum(wave / typical, _WEAKEST)
-    weight = (counted / counted[fitted].min()) ** -power  # no power is too large
+    weight = (np.maximum(wave, floor) / floor) ** -power  # the largest fitted one is 1
     result: Array = weight / weight[fitted].mean()
     return result
 

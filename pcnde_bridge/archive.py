@@ -20,6 +20,7 @@ from pcnde_bridge.files import atomic_write, check_members
 
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
+_EITHER = {"pcnde-model", "pcnde-ensemble"}
 
 
 def write_archive(
@@ -94,9 +95,12 @@ def read_archive(
             facts = json.loads(str(archive[_HEADER]))
             if not isinstance(facts, dict) or facts.get("format") != kind:
                 found = facts.get("format") if isinstance(facts, dict) else None
+                advice = ""
+                if {kind, found} == _EITHER:
+                    advice = f" Give a file of one {what}; pcnde_bridge.load_model reads either."
                 raise FileError(
                     f"{name} is not a pcnde_bridge {what} but "
-                    f"{f'a {found!r} file' if found else 'something else'}."
+                    f"{f'a {found!r} file' if found else 'something else'}.{advice}"
                 )
             found_version = facts.get("format_version")
             if not isinstance(found_version, int) or found_version > version:

@@ -211,14 +211,14 @@ class Cases:
         Returns
         -------
         DataFrame
-            Columns geometry, waveform, blockage, time (s), z (cm), flow (mL/s),
-            area (cm²), pressure (dyn/cm²) and area_undeformed (cm²), with
-            ``n_cases * n_times * n_points`` rows; z varies fastest.
+            The labels' columns (geometry, waveform, blockage and any other), time (s),
+            z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²) and area_undeformed (cm²),
+            with ``n_cases * n_times * n_points`` rows; z varies fastest.
         """
         shape = self.flow.shape
         columns: dict[str, NDArray[Any]] = {
             name: np.repeat(self._labels[name].to_numpy(), shape[1] * shape[2])
-            for name in ("geometry", "waveform", "blockage")
+            for name in self._labels.columns
         }
         spread = {
             "time": self.time[:, None],

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pcnde_bridge.archive import read_archive, write_archive
 from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig, config_from
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.files import atomic_write, check_writable, remove_leftovers
@@ -155,7 +155,7 @@ class Checkpoint:
         """Say of which other run the facts are, if they are, and what would be this one."""
         if facts["cases"] != self._cases.fingerprint():
             return "on other cases. Give the same cases"
-        if type(self._config).from_dict(facts["config"]) != self._config:
+        if config_from(facts["config"]) != self._config:
             return "with another configuration. Give the same one"
         if facts["seed"] != seed:
             return f"with seed {facts['seed']}, not {seed}. Give that seed"

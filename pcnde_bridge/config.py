@@ -653,6 +653,24 @@ PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
 """The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
 
 
+def config_from(settings: Any) -> PCNDEConfig | ClosureConfig:
+    """Read the settings that a file keeps; only the closures' have a group ``outlet``.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is not usable.
+    """
+    if isinstance(settings, Mapping) and "outlet" in settings:
+        return ClosureConfig.from_dict(settings)
+    if isinstance(settings, Mapping) and settings.get("training") == "all_at_once":
+        group = settings.get("all_at_once")
+        if isinstance(group, Mapping):
+            # Before there was this setting, all cases counted alike.
+            settings = {**settings, "all_at_once": {"wave_weight": 0.0, **group}}
+    return PCNDEConfig.from_dict(settings)
+
+
 def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | ClosureConfig:
     """Return a configuration given as itself or by its preset's name.
 

@@ -159,7 +159,8 @@ def _reason(error: OSError, target: Path) -> str:
         return "the disk is full; free some space or choose another folder"
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"no permission to write in {str(target.parent)!r}; choose another folder"
-    return str(error)
+    # Not what h5py adds, which fills lines with addresses.
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 # What is read is uncompressed or little compressed; deflate packs zeros a thousandfold.

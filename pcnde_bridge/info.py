@@ -14,9 +14,8 @@ from pcnde_bridge import ensemble, model, training
 from pcnde_bridge.archive import archive_kind, read_archive
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures import training as closures_training
-from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, config_from
 from pcnde_bridge.errors import FileError, PCNDEError
-from pcnde_bridge.recipes import config_from
 from pcnde_bridge.validation import listed
 
 Array = npt.NDArray[np.float64]

@@ -18,7 +18,13 @@ from pcnde_bridge.case_checks import real_array
 from pcnde_bridge.cases import Cases
 from pcnde_bridge.closures.parameters import ClosureParameters
 from pcnde_bridge.closures.uncertainty import Chances, Uncertainty, draw
-from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import (
+    PUBLISHED_CODE,
+    ClosureConfig,
+    PCNDEConfig,
+    config_from,
+    resolve_config,
+)
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.base import Engine
 from pcnde_bridge.errors import FileError, InputError, SolveError
@@ -625,7 +631,7 @@ class PCNDE:
             If something is missing or does not fit.
         """
         try:
-            config = recipes.config_from(facts["config"])
+            config = config_from(facts["config"])
             parameters = recipes.parameters_from(config, arrays)
             uncertainty = _part(Uncertainty, "uncertainty", arrays)
             novelty = _part(Novelty, "novelty", arrays)

@@ -80,13 +80,6 @@ def _run(trainer: _Trainer[State], seed: int, progress: bool | OnRecord) -> Stat
         return trainer.run(state)
 
 
-def config_from(settings: Any) -> Config:
-    """Read the configuration of a model file; only the closures' has a group ``outlet``."""
-    if isinstance(settings, Mapping) and "outlet" in settings:
-        return ClosureConfig.from_dict(settings)
-    return PCNDEConfig.from_dict(settings)
-
-
 def parameters_from(config: Config, arrays: Mapping[str, Array]) -> Parameters | ClosureParameters:
     """Take the parameters from the arrays of a model file.
 

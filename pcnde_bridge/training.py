@@ -100,6 +100,8 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
     InputError
         Naming the setting and what to change.
     """
+    if not cases.flow.any():
+        raise InputError("The training cases have no flow: it is zero everywhere.")
     if config.training == "batches" and config.flow.epochs < config.flow.couple_every:
         raise InputError(
             f"flow.epochs={config.flow.epochs} is smaller than flow.couple_every="

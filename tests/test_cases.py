@@ -155,7 +155,8 @@ def test_labels_are_cleaned(small_cases):
 def test_to_frame(small_cases):
     frame = small_cases.to_frame()
     assert list(frame.columns) == [
-        *("geometry", "waveform", "blockage", "time", "z"),
+        *("geometry", "waveform", "blockage", "patient"),
+        *("time", "z"),
         *("flow", "area", "pressure", "area_undeformed"),
     ]
     assert len(frame) == 12 * 20 * 21
@@ -166,6 +167,7 @@ def test_to_frame(small_cases):
     for name in ("flow", "area", "pressure"):
         assert row[name] == getattr(small_cases, name)[case, 7, 5]
     assert row["area_undeformed"] == small_cases.area_undeformed[case, 5]
+    assert row["patient"] == small_cases.labels["patient"][case]
 
 
 # ---- what it refuses

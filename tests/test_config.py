@@ -39,6 +39,7 @@ MAY_BE_ZERO = {
     "turbulent_coefficient",
     "gradient_tolerance",
     "validation",
+    "wave_weight",
     "weight_decay",
     "pressure_weight_decay",
 }

@@ -11,7 +11,7 @@ import pytest
 from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError, PCNDEConfig, SolveError
 from pcnde_bridge import all_at_once as fast
 from pcnde_bridge.algorithm import Unit
-from pcnde_bridge.config import FAST, AllAtOnce
+from pcnde_bridge.config import FAST, AllAtOnce, config_from
 from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.base import (
     FlowInputs,
@@ -73,7 +73,12 @@ def test_the_preset_is_the_papers_model():
 def test_settings_written_before_it_existed_are_read():
     old = PAPER.to_dict()
     del old["training"], old["all_at_once"], old["flow"]["steps"]
-    assert PCNDEConfig.from_dict(old) == PAPER
+    assert PCNDEConfig.from_dict(old) == config_from(old) == PAPER
+    # What was fitted before there were weights had none.
+    old = FAST.to_dict()
+    del old["all_at_once"]["wave_weight"]
+    assert config_from(old) == FAST.replace(all_at_once={"wave_weight": 0.0})
+    assert config_from(FAST.to_dict()) == FAST
 
 
 @pytest.mark.parametrize(
@@ -587,15 +592,65 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
     inflow = 1 + np.array([0.0, 0.1, 1.0, 2.0, 4.0])[:, None] * wave
     everything, power = np.arange(5), 1.5
     found = fast.wave_weight(inflow, everything, power)
-    expected = np.array([0.3, 0.3, 1.0, 2.0, 4.0]) ** -power
+    expected = np.array([0.4, 0.4, 1.0, 2.0, 4.0]) ** -power
     assert np.allclose(found, expected / expected.mean())
     assert np.allclose(fast.wave_weight(inflow, everything, 0.0), 1.0)
     # The others' weights follow those of the fitted cases.
     some = fast.wave_weight(inflow, np.array([2, 3, 4]), 1.0)
     assert np.allclose(some[2:], np.array([2.0, 1.0, 0.5]) / (3.5 / 3))
-    assert np.isclose(some[0], (1 / 0.3) / (3.5 / 3))
+    assert some[0] == some[1] == some[2]
     assert np.array_equal(fast.wave_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
+    # No power is too large, whatever waves are left out, and nothing is dropped for steady cases.
     assert np.allclose(fast.wave_weight(inflow, everything, 1e6), [2.5, 2.5, 0, 0, 0])
+    assert np.isfinite(fast.wave_weight(inflow, np.array([3, 4]), 1e6)).all()
+    steady = 1 + np.array([1e-6, 1e-6, 1e-6, 1.0, 2.0])[:, None] * wave
+    found = fast.wave_weight(steady, everything, 1.0)
+    assert np.allclose(found / found[-1], [10, 10, 10, 2, 1])
+
+
+def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything, monkeypatch):
+    seen = {}
+
+    class Seen(KnownFlow):
+        def __init__(self, flow, area, weight, *others):
+            seen["known flow"] = weight
+            super().__init__(flow, area, weight, *others)
+
+    def objective(inputs, target, weight, *others):
+        seen["equation"] = weight
+        return type(engine.flow).objective(engine.flow, inputs, target, weight, *others)
+
+    monkeypatch.setattr(fast, "KnownFlow", Seen)
+    monkeypatch.setattr(engine.flow, "objective", objective)
+    area = undeformed(small_cases.area_undeformed, 20)
+    start = initial_parameters(LITTLE, 20, 21, 0).flow
+    fast.fit_flow([start], small_cases, area, everything, engine, LITTLE, 2)
+    expected = fast.wave_weight(small_cases.inflow, everything[0], LITTLE.all_at_once.wave_weight)
+    assert np.ptp(expected) > 0.1
+    assert np.array_equal(seen["known flow"], expected)
+    assert np.array_equal(seen["equation"], expected)
+
+
+def test_twice_the_weight_is_the_case_twice(small_cases):
+    config = LITTLE.replace(flow={"loss": "sum"}, all_at_once={"weight_decay": 1e-4})
+    area = undeformed(small_cases.area_undeformed, 20)
+    inputs = np.moveaxis(np.concatenate([small_cases.flow, area], axis=1), 1, 2).reshape(-1, 40)
+    whitening = Whitening(inputs, config.flow.hidden[0], config.all_at_once.whitening)
+    n = len(small_cases)
+    twice, weight = np.r_[np.arange(n), 2], np.ones(n)
+    weight[2] = 2
+    vector = initial_parameters(config, 20, 21, 0).flow
+    found = []
+    for cases, weights in ((np.arange(n), weight), (twice, np.ones(n + 1))):
+        chosen, arrays = (np.arange(len(cases)),), (small_cases.flow[cases], area[cases])
+        # The decay is in units of the flow's squares.
+        decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
+        settings = config.replace(all_at_once={"weight_decay": decay})
+        known = KnownFlow(*arrays, weights, small_cases.z, chosen, whitening, settings)
+        found.append(known._objective(whitening.coordinates(vector)[: -known._last]))
+    (loss, gradient), (expected, its_gradient) = found
+    assert loss == pytest.approx(expected, rel=1e-8)
+    assert np.allclose(gradient, its_gradient, rtol=0, atol=1e-8 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("loss", ["mean", "sum"])

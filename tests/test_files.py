@@ -68,6 +68,14 @@ def test_target_is_a_folder(tmp_path):
         pass
 
 
+def test_other_libraries_words_do_not_hide_the_reason(tmp_path):
+    path = tmp_path / "a.h5"
+    message = r"cannot write '.*a\.h5': File too large$"
+    with pytest.raises(FileError, match=message), atomic_write(path):
+        raise OSError(errno.EFBIG, "Can't write data (file descriptor = 3, buf = 0x55a4…)")
+    assert names(tmp_path) == []
+
+
 def test_read_only_folder(tmp_path, monkeypatch):
     def refuse(*_args, **_kwargs):
         raise PermissionError(errno.EACCES, "Permission denied")

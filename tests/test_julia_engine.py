@@ -362,9 +362,10 @@ def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
 
 @marked
 @pytest.mark.parametrize("loss", ["mean", "sum"])
-def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss):
+@pytest.mark.parametrize("steps", [12, None])
+def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss, steps):
     vector, inputs, target, grid, config = flow_problem
-    config = config.replace(flow={"loss": loss, "steps": 12})
+    config = config.replace(flow={"loss": loss, "steps": steps})
     weight = np.random.default_rng(0).uniform(0.2, 3.0, size=len(target))
     weight[::3] = 0
     found, gradient = engine.flow.objective(inputs, target, weight, grid, config)(vector)
@@ -375,7 +376,8 @@ def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss)
     squares = (engine.flow.solve(vector, inputs, grid, config) - target) ** 2
     each = squares.sum(axis=(1, 2)) if loss == "sum" else squares.mean(axis=(1, 2))
     total = weight @ each / (1 if loss == "sum" else weight.sum())
-    assert found == pytest.approx(total, rel=1e-10)
+    # Adaptive steps are those of all cases together, and here of each on its own.
+    assert found == pytest.approx(total, rel=1e-10 if steps else 1e-3)
 
 
 @marked

@@ -220,8 +220,12 @@ def test_save_and_load(small_cases, ensemble, engine, tmp_path):
     assert loaded.provenance == json.loads(json.dumps(ensemble.provenance))
     ensemble.members[0].save(tmp_path / "model.npz")
     assert isinstance(load_model(tmp_path / "model.npz", engine), PCNDE)
-    with pytest.raises(FileError, match="not a pcnde_bridge model but a 'pcnde-ensemble'"):
-        PCNDE.load(path, engine)
+    for load, other, message in (
+        (PCNDE.load, path, "model but a 'pcnde-ensemble' file. Give a file of one model"),
+        (Ensemble.load, tmp_path / "model.npz", "ensemble but a 'pcnde-model' file. Give a file"),
+    ):
+        with pytest.raises(FileError, match=f"{message}.*load_model reads either"):
+            load(other, engine)
     with pytest.raises(FileError, match="There is no model"):
         load_model(tmp_path / "nowhere", engine)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcnde_bridge import PAPER, PCNDE, InputError
+from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError
 from pcnde_bridge.algorithm import Unit
 from pcnde_bridge.checkpoints import previous
 from pcnde_bridge.engines.base import FlowInputs
@@ -136,6 +136,21 @@ def test_one_batch_where_there_are_few_cases(small_cases, toy_config):
 
 
 # ---- check -----------------------------------------------------------------
+
+
+def test_cases_without_flow_are_refused(small_cases):
+    arrays = {name: getattr(small_cases, name) for name in ("area", "pressure", "area_undeformed")}
+    still = Cases(
+        np.zeros(small_cases.flow.shape),
+        **arrays,
+        time=small_cases.time,
+        z=small_cases.z,
+        period=1.0,
+        labels=small_cases.labels,
+    )
+    for preset in ("paper", "fast"):
+        with pytest.raises(InputError, match="The training cases have no flow"):
+            check(still, PRESETS[preset].replace(fourier_area={"terms": 5}))
 
 
 @pytest.mark.parametrize(

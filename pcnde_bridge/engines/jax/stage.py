@@ -199,7 +199,9 @@ class JaxStage(Generic[InputsT]):
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
     ) -> jax.Array:
-        predicted, solved = self._model(parameters, inputs, weight, grid, config)
+        # A case counts in the steps' error or not, whatever the weight of its squares.
+        counted = (weight > 0).astype(weight.dtype)
+        predicted, solved = self._model(parameters, inputs, counted, grid, config)
         error = self._compared(predicted, target.shape[1]) - target
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
