@@ -246,7 +246,8 @@ def fit_flow(
         samples[:: max(1, len(samples) // _SAMPLES)], config.flow.hidden[0], settings.whitening
     )
     weight = wave_weight(cases.inflow, fitted, settings.wave_weight)
-    counted = np.where(np.isin(np.arange(len(cases)), fitted), weight, 0.0)
+    counted = np.zeros(len(cases))
+    counted[fitted] = weight[fitted]
     inputs = FlowInputs(cases.inflow, area)
     target = balanced_flow(cases, fitted, config)
     evaluate = engine.flow.objective(inputs, target, counted, grid, config)

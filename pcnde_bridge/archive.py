@@ -20,7 +20,7 @@ from pcnde_bridge.files import atomic_write, check_members
 
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
-_EITHER = {"pcnde-model", "pcnde-ensemble"}
+_EITHER = {"pcnde-model", "pcnde-ensemble"}  # load_model reads them
 
 
 def write_archive(

@@ -616,9 +616,11 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything,
             seen["known flow"] = weight
             super().__init__(flow, area, weight, *others)
 
+    make = engine.flow.objective
+
     def objective(inputs, target, weight, *others):
         seen["equation"] = weight
-        return type(engine.flow).objective(engine.flow, inputs, target, weight, *others)
+        return make(inputs, target, weight, *others)
 
     monkeypatch.setattr(fast, "KnownFlow", Seen)
     monkeypatch.setattr(engine.flow, "objective", objective)
@@ -782,7 +784,7 @@ def test_the_published_cases(published_cases):
     split = published_cases.split("paper")
     model = PCNDE.fit(split.train, "fast", engine="jax", seed=0, progress=False)
     trained = pooled_errors(model.predict(split.train).variables(), split.train)
-    assert trained["flow"] < 0.0029  # 0.0024 with every case's squares counted alike
+    assert trained["flow"] < 0.0028  # 0.0024 with every case's squares counted alike
     assert trained["area"] < 0.0030
     assert trained["pressure"] < 0.0042
     tested = pooled_errors(model.predict_silently(split.test).variables(), split.test)

@@ -23,7 +23,7 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
     residual!(problem)
     residual = weigh!(problem)
     loss = scale(problem) * dot(residual, residual)
-    rmul!(weigh!(problem), 2 * scale(problem))
+    rmul!(weigh!(problem), 2 * scale(problem)) # the weight is that of its root twice
     mul!(room.state_slopes, last', residual)
     evaluate_again!(problem)
     fill!(gradient, 0.0)

@@ -76,7 +76,7 @@ class JuliaStage(Generic[InputsT]):
             inputs,  # type: ignore[type-var]
             **{f.name: getattr(inputs, f.name)[chosen] for f in fields(inputs)},  # type: ignore[arg-type]
         )
-        arrays, given = _arrays(chosen_inputs), (target[chosen], np.asarray(weight[chosen], dtype=float))
+        given = _arrays(chosen_inputs), target[chosen], weight[chosen]
         ours = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
@@ -85,7 +85,7 @@ class JuliaStage(Generic[InputsT]):
             if self._julia.held is not ours:
                 self._julia.held = None
                 period = float(grid.period)
-                self._julia.call("hold", self._name, arrays, *given, grid.z, period, config)
+                self._julia.call("hold", self._name, *given, grid.z, period, config)
                 self._julia.held = ours
             loss, gradient = self._julia.call("held_loss_and_gradient", parameters)
             return float(loss), gradient
