@@ -26,9 +26,20 @@ from typing import Any
 
 import numpy as np
 
-from pcnde_bridge import PCNDE, Cases, InputError, Split, load_cases
-from pcnde_bridge.baselines import FEM_WALL, ResponseSurface, Solver1D, Unchanged
-from pcnde_bridge.metrics import coverage, pooled_errors
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    InputError,
+    Split,
+    load_cases,
+)
+from pcnde_bridge.evaluation.baselines import (
+    FEM_WALL,
+    ResponseSurface,
+    Solver1D,
+    Unchanged,
+)
+from pcnde_bridge.model.metrics import coverage, pooled_errors
 
 VARIABLES = ("flow", "area", "pressure")
 

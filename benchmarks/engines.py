@@ -17,19 +17,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pcnde_bridge.cases import Cases
 from pcnde_bridge.config import PAPER
-from pcnde_bridge.datasets import find_published, load_cases
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import (
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.protocol import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.inference import undeformed
-from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.io.datasets import find_published, load_cases
 
 BATCHES = 20
 

@@ -20,9 +20,14 @@ from typing import Any
 import numpy as np
 from scipy.signal import resample
 
-from pcnde_bridge import PCNDE, Cases, DataNotFoundError, load_cases
-from pcnde_bridge.metrics import pooled_errors
-from pcnde_bridge.synthetic import synthetic
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    DataNotFoundError,
+    load_cases,
+)
+from pcnde_bridge.hemodynamics.synthetic import synthetic
+from pcnde_bridge.model.metrics import pooled_errors
 
 
 def on_instants(model: PCNDE, cases: Cases, count: int) -> dict[str, float]:

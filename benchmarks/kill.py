@@ -27,11 +27,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pcnde_bridge import FAST, PAPER, PCNDE, PHYSICS, ClosureConfig, PCNDEConfig
-from pcnde_bridge.checkpoints import previous, remove
+from pcnde_bridge import (
+    FAST,
+    PAPER,
+    PCNDE,
+    PHYSICS,
+    ClosureConfig,
+    PCNDEConfig,
+)
 from pcnde_bridge.errors import PCNDEError
-from pcnde_bridge.info import describe
-from pcnde_bridge.synthetic import synthetic
+from pcnde_bridge.hemodynamics.synthetic import synthetic
+from pcnde_bridge.model.describe import describe
+from pcnde_bridge.training.checkpoint import previous, remove
 
 LITTLE: dict[str, PCNDEConfig | ClosureConfig] = {
     "fast": FAST.replace(

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge import load_cases
+from pcnde_bridge._utils.parallel import processes, run
 from pcnde_bridge.config import resolve_config
-from pcnde_bridge.fits import FitTask, fit_model
-from pcnde_bridge.tasks import processes, run
+from pcnde_bridge.model.fit_task import FitTask, fit_model
 
 
 @contextlib.contextmanager

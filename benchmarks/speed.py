@@ -23,7 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pcnde_bridge import PCNDE, PCNDEError, load_cases
+from pcnde_bridge import (
+    PCNDE,
+    PCNDEError,
+    load_cases,
+)
 
 
 def main() -> None:

@@ -4,9 +4,12 @@ Physics-constrained coupled neural differential equations (PCNDE) after Csala,
 Mohan, Livescu and Arzani (2024).  Units are CGS: cm, s, mL/s, dyn/cm².
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
 from pcnde_bridge._version import __version__
-from pcnde_bridge.case_checks import UnitsWarning
-from pcnde_bridge.cases import Cases, Split
 from pcnde_bridge.config import (
     FAST,
     PAPER,
@@ -16,10 +19,9 @@ from pcnde_bridge.config import (
     ClosureConfig,
     PCNDEConfig,
 )
-from pcnde_bridge.cross_validation import cross_validate
-from pcnde_bridge.datasets import download_published, load_cases
+from pcnde_bridge.data.cases import Cases, Split
+from pcnde_bridge.data.checks import UnitsWarning
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.ensemble import Ensemble, load_model
 from pcnde_bridge.errors import (
     DataNotFoundError,
     EngineError,
@@ -32,10 +34,13 @@ from pcnde_bridge.errors import (
     SolveError,
     TaskError,
 )
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.novelty import OutsideTrainingWarning
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.sweeps import sweep
+from pcnde_bridge.evaluation.cross_validation import cross_validate
+from pcnde_bridge.evaluation.sweep import sweep
+from pcnde_bridge.io.datasets import download_published, load_cases
+from pcnde_bridge.model.ensemble import Ensemble, load_model
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
+from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
 
 __all__ = [
     "FAST",
@@ -70,3 +75,31 @@ __all__ = [
     "select_engine",
     "sweep",
 ]
+
+_ROOMS = (
+    "app",
+    "cli",
+    "config",
+    "data",
+    "engines",
+    "errors",
+    "evaluation",
+    "hemodynamics",
+    "io",
+    "model",
+    "plots",
+    "studies",
+    "training",
+    "uncertainty",
+)
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import a room on first use, so that ``import pcnde_bridge`` stays light."""
+    if name in _ROOMS:
+        return import_module(f"pcnde_bridge.{name}")
+    raise AttributeError(f"module 'pcnde_bridge' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *_ROOMS})

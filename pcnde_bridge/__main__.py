@@ -1,6 +1,6 @@
 """``python -m pcnde_bridge``: the command line."""
 
-from pcnde_bridge.cli import run
+from pcnde_bridge.cli.main import run
 
 if __name__ == "__main__":
     run()

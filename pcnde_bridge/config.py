@@ -390,7 +390,7 @@ class AllAtOnce(_Section):
     """Training on all cases at once, with least squares for all that is linear.
 
     Networks are fitted by L-BFGS without restarts, in whitened weights
-    (:mod:`pcnde_bridge.lbfgs`); both area stages, the networks' last layers (that of the
+    (:mod:`pcnde_bridge.training.lbfgs`); both area stages, the networks' last layers (that of the
     flow along the data's flow), a₁, a₂ and b₁ by least squares.  The numbers were compared
     by cross-validation inside the published training cases (CONTRIBUTING has the
     measurement, and what a look at the test cases had to do with it).
@@ -406,13 +406,13 @@ class AllAtOnce(_Section):
         the least loss (or validation error, if there is a validation part) goes on.
     mean_flow : {'area', 'data'}
         Whose mean over the cycle the flow is fitted to: that which the data's area asks
-        for (:func:`pcnde_bridge.all_at_once.balanced_flow`), or the data's flow's.
+        for (:func:`pcnde_bridge.training.full_batch.balanced_flow`), or the data's flow's.
     wave_weight : float
         Each case's squares of the flow count by its inflow's range over time to the power
-        of minus this (:func:`pcnde_bridge.all_at_once.wave_weight`); 0 counts all alike.
+        of minus this (:func:`pcnde_bridge.training.full_batch.wave_weight`); 0 counts all alike.
     known_flow_iterations : int
         L-BFGS iterations of each of these, and of the one in each later round, along the
-        data's flow (:mod:`pcnde_bridge.known_flow`).
+        data's flow (:mod:`pcnde_bridge.training.collocation`).
     iterations, later_iterations : int
         L-BFGS iterations of the equation itself, in the first and in each later round; with
         physics terms the iterations before are added to them.
@@ -526,7 +526,7 @@ class LossClosure(_Section):
     Attributes
     ----------
     friction, inertia, convection : float or None
-        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.losses`; 1 is
+        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`; 1 is
         Poiseuille's friction and a flat profile's momentum.
     jet_spread : float or None
         Growth of a free jet's radius per length of the way.

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from pcnde_bridge import cli
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.cli import main as cli
 from pcnde_bridge.config import PAPER, PCNDEConfig
-from pcnde_bridge.datasets import find_published, load_cases
-from pcnde_bridge.engines.base import Fit
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
+from pcnde_bridge.engines.protocol import Fit
+from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.errors import DataNotFoundError
-from pcnde_bridge.inference import predict_by_stages
-from pcnde_bridge.lbfgs import lbfgs_of_scipy
-from pcnde_bridge.model import PCNDE
+from pcnde_bridge.io.datasets import find_published, load_cases
+from pcnde_bridge.model.pcnde import PCNDE
 
 # The same examples each time in the suite; HYPOTHESIS_PROFILE=long tries others, and many.
 settings.register_profile("suite", max_examples=25, derandomize=True, deadline=None)

@@ -15,18 +15,24 @@ import pandas as pd
 import pytest
 from test_closures import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waves
 
-from pcnde_bridge import PCNDE, InputError, PCNDEError
+from pcnde_bridge import (
+    PCNDE,
+    InputError,
+    PCNDEError,
+)
 from pcnde_bridge.app import server
 from pcnde_bridge.app.explorer import Explorer
 from pcnde_bridge.app.inputs import Choices, read_waveform
-from pcnde_bridge.closures.uncertainty import Uncertainty
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.novelty import Novelty
-from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.plots.style import QUANTITIES
-from pcnde_bridge.waveform import Waveform
+from pcnde_bridge.uncertainty.novelty import Novelty
+from pcnde_bridge.uncertainty.sampling import Uncertainty
 
-pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.novelty.OutsideTrainingWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::pcnde_bridge.uncertainty.novelty.OutsideTrainingWarning"
+)
 
 ROOT = Path(__file__).parents[1]
 FACTORS = {name: factor for name, (*_, factor) in QUANTITIES.items()}

@@ -11,7 +11,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.errors import FileError
 
 KIND, VERSION = "pcnde-thing", 3

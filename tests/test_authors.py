@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcnde_bridge.authors import read_authors_folder
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.published import read_authors_folder
 from pcnde_bridge.errors import DataNotFoundError, FileError
 
 

@@ -8,18 +8,32 @@ import warnings
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, InputError, OutsideTrainingWarning
-from pcnde_bridge.baselines import (
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    InputError,
+    OutsideTrainingWarning,
+)
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.evaluation.baselines import (
     FEM_WALL,
     ResponseSurface,
     Solver1D,
     Unchanged,
     standard_baselines,
 )
-from pcnde_bridge.bench import Row, bench_baseline, bench_model, write_rows
-from pcnde_bridge.metrics import pooled_errors
-from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.evaluation.benchmark import (
+    Row,
+    bench_baseline,
+    bench_model,
+    write_rows,
+)
+from pcnde_bridge.hemodynamics.solver import (
+    Tube1D,
+    Windkessel,
+    outlet_resistance,
+)
+from pcnde_bridge.model.metrics import pooled_errors
 
 
 def polynomial_cases(n_waveforms: int = 5, n_geometries: int = 4) -> Cases:
@@ -253,7 +267,7 @@ def test_rows_as_json(tmp_path):
 @pytest.fixture
 def run(monkeypatch, toy_engine, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
 
     return run_pcnde
 
@@ -291,7 +305,7 @@ def test_bench_side_by_side(run, folder, sets):
 def test_bench_of_a_saved_model(run, folder, sets, small_config, toy_engine, monkeypatch):
     model = PCNDE.fit(sets["train"], small_config, engine=toy_engine, progress=False)
     model.save(folder / "model.npz")
-    monkeypatch.setattr("pcnde_bridge.baselines.standard_baselines", dict)
+    monkeypatch.setattr("pcnde_bridge.evaluation.baselines.standard_baselines", dict)
     written = folder / "bench.json"
     options = ("--model", folder / "model.npz", "--split", "none", "--json", written)
     code, out, _ = run("bench", folder / "cases.npz", *options)

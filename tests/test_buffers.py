@@ -6,8 +6,8 @@ import gc
 
 import numpy as np
 
-from pcnde_bridge import buffers
-from pcnde_bridge.buffers import Buffers
+from pcnde_bridge.engines import buffers
+from pcnde_bridge.engines.buffers import Buffers
 
 
 def address(array):

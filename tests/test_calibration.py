@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import Cases, InputError
-from pcnde_bridge.calibration import Calibration
-from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.closures.uncertainty import Chances, Uncertainty, calibrate, draw
 from pcnde_bridge.config import PHYSICS
-from pcnde_bridge.engines.base import Solution
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.protocol import Solution
+from pcnde_bridge.uncertainty.calibration import Calibration
+from pcnde_bridge.uncertainty.sampling import (
+    Chances,
+    Uncertainty,
+    calibrate,
+    draw,
+)
 
 GRID = Grid(np.arange(4) / 4, np.linspace(0, 4, 6), 1.0)
 UNITS = np.array([1e-3, 1e-4, 10.0])  # of the errors of flow, area and pressure

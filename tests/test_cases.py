@@ -15,11 +15,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcnde_bridge import case_files
-from pcnde_bridge.case_checks import UnitsWarning
-from pcnde_bridge.case_files import FORMAT_VERSION
-from pcnde_bridge.cases import Cases, Split
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.data import files as case_files
+from pcnde_bridge.data.cases import Cases, Split
+from pcnde_bridge.data.checks import UnitsWarning
+from pcnde_bridge.data.files import FORMAT_VERSION
+from pcnde_bridge.errors import (
+    DataNotFoundError,
+    FileError,
+    InputError,
+)
 
 SUFFIXES = (".npz", ".h5", ".hdf5")
 

@@ -13,10 +13,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pcnde_bridge import PCNDE, FileError, InputError, PCNDEConfig, files
-from pcnde_bridge.archive import read_archive
-from pcnde_bridge.checkpoints import Checkpoint, previous, remove
-from pcnde_bridge.training import Trainer
+from pcnde_bridge import (
+    PCNDE,
+    FileError,
+    InputError,
+    PCNDEConfig,
+)
+from pcnde_bridge._utils import files
+from pcnde_bridge._utils.archive import read_archive
+from pcnde_bridge.training.checkpoint import (
+    Checkpoint,
+    previous,
+    remove,
+)
+from pcnde_bridge.training.trainer import Trainer
 
 
 def number(facts, arrays):

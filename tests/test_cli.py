@@ -22,11 +22,15 @@ from pcnde_bridge import (
     SolveError,
     __version__,
 )
-from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.bench import checkpoint_name
-from pcnde_bridge.cli.console import note, note_warning, say
-from pcnde_bridge.doctor import Finding
-from pcnde_bridge.tables import read_frame
+from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge.cli.console import (
+    note,
+    note_warning,
+    say,
+)
+from pcnde_bridge.cli.doctor import Finding
+from pcnde_bridge.evaluation.benchmark import checkpoint_name
+from pcnde_bridge.io.tables import read_frame
 
 
 @pytest.fixture
@@ -100,7 +104,7 @@ def test_errors_have_no_traceback(folder, tmp_path):
 
 def test_a_reader_that_goes_away_is_no_error_of_ours(folder):
     """``pcnde … | head -0``: no traceback, and nothing at the interpreter's exit."""
-    code = "import sys, pcnde_bridge.cli as c; sys.argv = ['pcnde', 'doctor']; c.main()"
+    code = "import sys, pcnde_bridge.cli.main as c; sys.argv = ['pcnde', 'doctor']; c.main()"
     child = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -453,7 +457,7 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
     code, printed, _ = run("doctor")
     assert code == 0
     assert "PCNDE_DATA" in printed
-    monkeypatch.setattr("pcnde_bridge.doctor.find_published", lambda: None)
+    monkeypatch.setattr("pcnde_bridge.cli.doctor.find_published", lambda: None)
     code, printed, _ = run("doctor")
     assert code == 0
     assert "pcnde download" in printed
@@ -461,7 +465,7 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
 
 def test_doctor_without_an_engine_fails(run, monkeypatch):
     bad = Finding("engine jax", "jax missing", "pip install jax", good=False, is_engine=True)
-    monkeypatch.setattr("pcnde_bridge.doctor.examine", lambda: [Finding("Python", "3"), bad])
+    monkeypatch.setattr("pcnde_bridge.cli.doctor.examine", lambda: [Finding("Python", "3"), bad])
     code, printed, err = run("doctor")
     assert code == 1
     assert "pip install jax" in printed
@@ -469,7 +473,7 @@ def test_doctor_without_an_engine_fails(run, monkeypatch):
 
 
 def test_doctor_names_missing_packages(run, monkeypatch):
-    monkeypatch.setattr("pcnde_bridge.doctor.find_spec", lambda name: None)
+    monkeypatch.setattr("pcnde_bridge.cli.doctor.find_spec", lambda name: None)
     _, printed, _ = run("doctor")
     assert "pip install jax diffrax" in printed
 
@@ -528,7 +532,7 @@ def test_text_is_printed_as_it_stands(capsys, monkeypatch, text):
 @pytest.mark.parametrize("name", ["model[fast]", "a[/x]"])
 def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine, monkeypatch, name):
     """What rich would take for markup: ``[fast]`` vanished, and ``[/x]`` was an error."""
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda *_, **__: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda *_, **__: toy_engine)
     (tmp_path / name).parent.mkdir(exist_ok=True)
     model, table, cases = (tmp_path / f"{name}{end}" for end in (".npz", ".csv", ".h5"))
     config = ("--config", folder / "config.json", "--split", "none")

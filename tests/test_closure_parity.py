@@ -16,10 +16,10 @@ from test_closures import (
     waves,
 )
 
-from pcnde_bridge.engines.jax import JaxEngine
-from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.jax.engine import JaxEngine
+from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.grid import Grid
 
 _STATUS = julia_status()
 pytestmark = [

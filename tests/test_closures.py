@@ -10,15 +10,22 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import Cases
-from pcnde_bridge.closures import fit
-from pcnde_bridge.closures.parameters import ClosureParameters, sizes
-from pcnde_bridge.closures.training import ClosureTrainer
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PHYSICS, Physics
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.jax.closures import JaxClosures, correction, losses, wall
+from pcnde_bridge.engines.closure_parameters import ClosureParameters, sizes
+from pcnde_bridge.engines.jax.closures import (
+    correction,
+    wall,
+)
+from pcnde_bridge.engines.jax.closures import (
+    pressure_losses as losses,
+)
+from pcnde_bridge.engines.jax.closures.engine import JaxClosures
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.precision import double_precision
+from pcnde_bridge.training import closure_fit as fit
+from pcnde_bridge.training.closure_trainer import ClosureTrainer
 
 # One grid throughout, and 16 cases at once: every new shape is compiled for seconds.
 Z = np.linspace(0.0, 4.0, 41)

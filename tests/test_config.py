@@ -11,9 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcnde_bridge import PAPER, PRESETS, PUBLISHED_CODE, InputError, PCNDEConfig
-from pcnde_bridge.config import FAST, PHYSICS, resolve_config, resolve_pcnde_config
-from pcnde_bridge.parameters import sizes
+from pcnde_bridge import (
+    PAPER,
+    PRESETS,
+    PUBLISHED_CODE,
+    InputError,
+    PCNDEConfig,
+)
+from pcnde_bridge.config import (
+    FAST,
+    PHYSICS,
+    resolve_config,
+    resolve_pcnde_config,
+)
+from pcnde_bridge.engines.parameters import sizes
 
 GROUPS = [
     f.name for f in dataclasses.fields(PAPER) if dataclasses.is_dataclass(getattr(PAPER, f.name))

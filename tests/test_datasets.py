@@ -9,10 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from pcnde_bridge import datasets
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.datasets import download_published, find_published, load_cases
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.io import datasets
+from pcnde_bridge.io.datasets import (
+    download_published,
+    find_published,
+    load_cases,
+)
 
 FILES = {
     "data_3D/case_1_0/averagedTo1DFrom0_case_1_0.npy": b"first" * 1000,

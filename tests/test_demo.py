@@ -9,11 +9,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, FileError, InputError, cli
-from pcnde_bridge import demo as module
-from pcnde_bridge.baselines import Unchanged
-from pcnde_bridge.demo import CHECKPOINT, FILES, MARK, run_demo
-from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    FileError,
+    InputError,
+)
+from pcnde_bridge.cli import demo as module
+from pcnde_bridge.cli import main as cli
+from pcnde_bridge.cli.demo import (
+    CHECKPOINT,
+    FILES,
+    MARK,
+    run_demo,
+)
+from pcnde_bridge.evaluation.baselines import Unchanged
+from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.plots import loss_history
 
 
@@ -72,7 +83,7 @@ def test_everything_is_there(demo, tmp_path, small_cases):
 def test_its_files_go_into_the_other_commands(demo, tmp_path, small_cases, toy_engine, monkeypatch):
     result = demo()
     folder = tmp_path / "demo"
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
     arguments = ["--inflow", folder / "inflow.csv", "--area", folder / "area.csv"]
     out = tmp_path / "mine.npz"
     argv = ["pcnde", "predict", folder / "model.npz", *arguments, "--out", out]

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
-from pcnde_bridge.engines.base import (
+from pcnde_bridge.engines.jax.engine import JaxEngine
+from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
+from pcnde_bridge.engines.parameters import STAGES, initial_parameters
+from pcnde_bridge.engines.protocol import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.jax import JaxEngine
-from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+from pcnde_bridge.engines.staged import undeformed
 from pcnde_bridge.errors import PCNDEError
-from pcnde_bridge.inference import undeformed
-from pcnde_bridge.metrics import relative_error
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.parameters import STAGES, initial_parameters
-from pcnde_bridge.published_weights import read_published_weights
+from pcnde_bridge.model.metrics import relative_error
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.published_weights import read_published_weights
 
 _STATUS = julia_status()
 pytestmark = [

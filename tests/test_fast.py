@@ -8,27 +8,48 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError, PCNDEConfig, SolveError
-from pcnde_bridge import all_at_once as fast
-from pcnde_bridge.algorithm import Unit
-from pcnde_bridge.config import FAST, AllAtOnce, config_from
+from pcnde_bridge import (
+    PAPER,
+    PCNDE,
+    PRESETS,
+    Cases,
+    InputError,
+    PCNDEConfig,
+    SolveError,
+)
+from pcnde_bridge.config import (
+    FAST,
+    AllAtOnce,
+    config_from,
+)
+from pcnde_bridge.data.splits import training_and_validation
 from pcnde_bridge.engines import select_engine, why_not_julia
-from pcnde_bridge.engines.base import (
+from pcnde_bridge.engines.jax.engine import JaxEngine
+from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.protocol import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.jax import JaxEngine
-from pcnde_bridge.held_out import training_and_validation
-from pcnde_bridge.inference import predict_by_stages, undeformed
-from pcnde_bridge.known_flow import KnownFlow
-from pcnde_bridge.lbfgs import Whitening, lbfgs_of_scipy, minimise
-from pcnde_bridge.least_squares import solve_per_point
-from pcnde_bridge.metrics import pooled_errors
-from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.training import Trainer, TrainingState, count_iterations, plan
+from pcnde_bridge.engines.staged import predict_by_stages, undeformed
+from pcnde_bridge.model.metrics import pooled_errors
+from pcnde_bridge.training import full_batch as fast
+from pcnde_bridge.training.algorithm import Unit
+from pcnde_bridge.training.collocation import KnownFlow
+from pcnde_bridge.training.lbfgs import (
+    Whitening,
+    minimise,
+)
+from pcnde_bridge.training.least_squares import solve_per_point
+from pcnde_bridge.training.trainer import (
+    Trainer,
+    TrainingState,
+    count_iterations,
+    plan,
+)
 
 LITTLE = FAST.replace(
     coupling_passes=2,

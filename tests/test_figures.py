@@ -10,11 +10,24 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, Cases, FileError, InputError, SolveError
-from pcnde_bridge import figures as module
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    FileError,
+    InputError,
+    SolveError,
+)
 from pcnde_bridge.config import PHYSICS
-from pcnde_bridge.figures import FIGURES, Entry, Material, choose, make_figures, outermost
-from pcnde_bridge.metrics import pooled_errors
+from pcnde_bridge.model.metrics import pooled_errors
+from pcnde_bridge.plots import paper_figures as module
+from pcnde_bridge.plots.paper_figures import (
+    FIGURES,
+    Entry,
+    Material,
+    choose,
+    make_figures,
+    outermost,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
 
@@ -224,7 +237,7 @@ def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
     small_cases.save(tmp_path / "cases.npz")
     split = {"train": [[1, 0], [1, 1], [2, 0]], "test": [[3, 3], [3, 2]]}
     (tmp_path / "split.json").write_text(json.dumps(split))
-    monkeypatch.setattr("pcnde_bridge.model.select_engine", lambda name, **_: toy_engine)
+    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
     monkeypatch.setenv("COLUMNS", "200")
     return tmp_path
 
@@ -279,7 +292,9 @@ def test_pcnde_figures_with_workers(run_pcnde, files, unpainted, monkeypatch):
         made.append(workers)
         return ThreadPoolExecutor(workers)
 
-    monkeypatch.setattr("pcnde_bridge.tasks.processes", lambda workers: partial(pool, workers))
+    monkeypatch.setattr(
+        "pcnde_bridge._utils.parallel.processes", lambda workers: partial(pool, workers)
+    )
     noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
     assert run_pcnde(*noise, "--out", files / "one")[0] == 0
     assert made == []

@@ -7,8 +7,12 @@ import stat
 import numpy as np
 import pytest
 
+from pcnde_bridge._utils.files import (
+    atomic_write,
+    sha256_arrays,
+    write_json,
+)
 from pcnde_bridge.errors import DataNotFoundError, FileError
-from pcnde_bridge.files import atomic_write, sha256_arrays, write_json
 
 
 def names(folder):
@@ -80,7 +84,7 @@ def test_read_only_folder(tmp_path, monkeypatch):
     def refuse(*_args, **_kwargs):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("pcnde_bridge.files.os.open", refuse)
+    monkeypatch.setattr("pcnde_bridge._utils.files.os.open", refuse)
     path = tmp_path / "a.txt"
     with pytest.raises(FileError, match="no permission to write in"), atomic_write(path):
         pass

@@ -29,7 +29,10 @@ from pcnde_bridge import (
     PCNDEError,
     UnitsWarning,
 )
-from pcnde_bridge.formats import (
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.io import (
     VesselResults,
     read_csv,
     read_hdf5,
@@ -40,12 +43,9 @@ from pcnde_bridge.formats import (
     write_pvd,
     write_vtp,
 )
-from pcnde_bridge.formats.units import FACTORS
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.tables import read_frame
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.io.tables import read_frame
+from pcnde_bridge.io.units import FACTORS
+from pcnde_bridge.model.prediction import Prediction
 
 
 @pytest.fixture(scope="module")
@@ -749,7 +749,7 @@ def test_a_missing_package_is_named_with_its_extra(
         assert name.partition(".")[0] == hidden
         raise ModuleNotFoundError(f"No module named {name!r}")
 
-    monkeypatch.setattr("pcnde_bridge.extras.importlib.import_module", refuse)
+    monkeypatch.setattr("pcnde_bridge._utils.optional.importlib.import_module", refuse)
     with pytest.raises(PCNDEError, match=rf'pip install "pcnde-bridge\[{extra}\]"') as caught:
         use(prediction, tmp_path)
     assert isinstance(caught.value, ImportError)

@@ -20,8 +20,8 @@ OPTIONAL = ("vtkmodules", "xarray", "dash")
     "code",
     [
         "import pcnde_bridge",
-        "import pcnde_bridge.plots, pcnde_bridge.figures",
-        "from pcnde_bridge import cli; import pcnde_bridge.doctor as d; d.examine()",
+        "import pcnde_bridge.plots, pcnde_bridge.plots.paper_figures",
+        "from pcnde_bridge import cli; import pcnde_bridge.cli.doctor as d; d.examine()",
     ],
 )
 def test_no_engine_and_no_plotting_is_imported(code):

@@ -6,11 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.formats import read_csv
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.tables import read_columns, read_cycle, read_inputs
+from pcnde_bridge.io import read_csv
+from pcnde_bridge.io.tables import (
+    read_columns,
+    read_cycle,
+    read_inputs,
+)
+from pcnde_bridge.model.prediction import Prediction
 
 GRID = Grid(np.arange(4) / 4, np.arange(3.0), 1.0)
 

@@ -8,9 +8,11 @@ import threading
 
 import pytest
 
-from pcnde_bridge import PCNDE, PCNDEConfig, interrupts, precision
+from pcnde_bridge import PCNDE, PCNDEConfig
+from pcnde_bridge._utils import interrupts
+from pcnde_bridge._utils import jax_context as precision
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.errors import EngineError
-from pcnde_bridge.precision import double_precision
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 

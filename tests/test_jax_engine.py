@@ -14,17 +14,17 @@ from test_closures import solve
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import (
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.protocol import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
+from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.inference import predict_by_stages
-from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.stenosis import pressure_drop
+from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 
 TIGHT = PAPER.replace(flow={"rtol": 1e-10, "atol": 1e-12, "max_steps": 1024})
 EQUAL = PAPER.replace(flow={"steps": 12})  # quickly compiled, where the steps do not matter
@@ -136,7 +136,7 @@ def test_intermediate_area_is_what_tsit5_gives_with_a_step_for_each_instant(
     import diffrax
     import jax.numpy as jnp
 
-    from pcnde_bridge.precision import double_precision
+    from pcnde_bridge._utils.jax_context import double_precision
 
     a, b = np.split(parameters.intermediate_area, 2)
     inputs, _ = stage_case("intermediate_area", small_cases)
@@ -317,8 +317,8 @@ def test_the_users_jax_precision_stays_as_it_was():
     code = (
         "import numpy as np, jax.numpy as jnp\n"
         "from pcnde_bridge.engines import select_engine\n"
-        "from pcnde_bridge.engines.base import *\n"
-        "from pcnde_bridge.grid import Grid\n"
+        "from pcnde_bridge.engines.protocol import *\n"
+        "from pcnde_bridge.data.grid import Grid\n"
         "from pcnde_bridge import PAPER\n"
         "e = select_engine('jax')\n"
         "q = np.ones((1, 20, 5)); p = np.ones(10)\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pcnde_bridge.engines.julia import julia_status
+from pcnde_bridge.engines.julia.engine import julia_status
 from pcnde_bridge.engines.julia.status import choose
 
 pytestmark = pytest.mark.julia

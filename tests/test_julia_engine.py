@@ -19,23 +19,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcnde_bridge.cli.doctor import examine
 from pcnde_bridge.config import PAPER
-from pcnde_bridge.doctor import examine
 from pcnde_bridge.engines import select_engine, why_not_julia
-from pcnde_bridge.engines.base import FlowInputs, FourierAreaInputs
-from pcnde_bridge.engines.julia import (
+from pcnde_bridge.engines.julia import runtime as process
+from pcnde_bridge.engines.julia.engine import (
     JuliaEngine,
     JuliaStatus,
     julia_settings_file,
     julia_sources,
     julia_status,
-    process,
 )
 from pcnde_bridge.engines.julia.project import compatible, core_version
 from pcnde_bridge.engines.julia.status import juliacall_settings
-from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
-from pcnde_bridge.inference import undeformed
-from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.protocol import FlowInputs, FourierAreaInputs
+from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.errors import (
+    EngineError,
+    EngineUnavailableError,
+    PCNDEWarning,
+    SolveError,
+)
 
 _STATUS = julia_status()
 OUR_SERIES = core_version(julia_sources()).rpartition(".")[0]
@@ -259,7 +264,7 @@ def test_the_julia_sources_are_found_and_declared():
 
 
 def test_importing_the_module_starts_nothing():
-    code = "import pcnde_bridge.engines.julia, sys; assert 'juliacall' not in sys.modules"
+    code = "import pcnde_bridge.engines.julia.engine, sys; assert 'juliacall' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -492,13 +497,13 @@ def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.Complet
 def test_it_works_after_jax_and_leaves_main_alone():
     done = run(
         "import jax, jax.numpy as jnp; before = jnp.arange(3.0) * 2\n"
-        "from pcnde_bridge.engines.julia import JuliaEngine\n"
+        "from pcnde_bridge.engines.julia.engine import JuliaEngine\n"
         "engine = JuliaEngine()\n"
         "import juliacall, numpy as np\n"
         "assert not juliacall.Main.seval('isdefined(Main, :PCNDECore)')\n"
         "from pcnde_bridge.config import PAPER\n"
-        "from pcnde_bridge.engines.base import FourierAreaInputs\n"
-        "from pcnde_bridge.grid import Grid\n"
+        "from pcnde_bridge.engines.protocol import FourierAreaInputs\n"
+        "from pcnde_bridge.data.grid import Grid\n"
         "grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
         "inputs = FourierAreaInputs(np.ones((2, 20, 5)), np.ones((2, 5)))\n"
         "area = engine.fourier_area.solve(np.ones(10), inputs, grid, PAPER)\n"
@@ -532,7 +537,7 @@ def test_a_julia_started_by_another_package_is_used():
 _THREADED = """
 import gc, pickle, sys, threading, time
 import numpy as np
-from pcnde_bridge.engines.julia import JuliaEngine, julia_status
+from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
 inputs, parameters = pickle.loads(sys.stdin.buffer.read())
 engine = JuliaEngine()
 print(julia_status())

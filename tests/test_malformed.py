@@ -26,17 +26,30 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLPolyDataWriter
 
-from pcnde_bridge import PCNDE, DataNotFoundError, FileError, InputError, PCNDEConfig, PCNDEError
-from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.datasets import load_cases
+from pcnde_bridge import (
+    PCNDE,
+    DataNotFoundError,
+    FileError,
+    InputError,
+    PCNDEConfig,
+    PCNDEError,
+)
+from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.formats import read_csv, read_hdf5, read_simvascular, read_sv1d, write_vtp
-from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.published_weights import FILES as WEIGHTS
-from pcnde_bridge.published_weights import read_published_weights
-from pcnde_bridge.tables import read_columns
-from pcnde_bridge.training import Trainer
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.io import (
+    read_csv,
+    read_hdf5,
+    read_simvascular,
+    read_sv1d,
+    write_vtp,
+)
+from pcnde_bridge.io.datasets import load_cases
+from pcnde_bridge.io.tables import read_columns
+from pcnde_bridge.model.prediction import Prediction
+from pcnde_bridge.model.published_weights import FILES as WEIGHTS
+from pcnde_bridge.model.published_weights import read_published_weights
+from pcnde_bridge.training.trainer import Trainer
 
 FIELDS = ("flow", "area", "pressure")
 REFUSED = FileError, InputError

@@ -22,15 +22,19 @@ from pcnde_bridge import (
     load_model,
     sweep,
 )
-from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.calibration import Calibration
-from pcnde_bridge.fits import FitTask, fit_model, model_of
-from pcnde_bridge.held_out import each_waveform_and_geometry
-from pcnde_bridge.info import describe, lines
-from pcnde_bridge.metrics import coverage, pooled_errors
-from pcnde_bridge.tables import read_frame
-from pcnde_bridge.tasks import processes, run
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.parallel import processes, run
+from pcnde_bridge.data.splits import each_waveform_and_geometry
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.io.tables import read_frame
+from pcnde_bridge.model.describe import describe, lines
+from pcnde_bridge.model.fit_task import (
+    FitTask,
+    fit_model,
+    model_of,
+)
+from pcnde_bridge.model.metrics import coverage, pooled_errors
+from pcnde_bridge.uncertainty.calibration import Calibration
 
 NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressure"]
 
@@ -415,7 +419,9 @@ def test_info_of_a_data_set(small_cases, tmp_path, run_pcnde, name):
 @pytest.fixture
 def commands(small_cases, config, engine, tmp_path, monkeypatch, run_pcnde):
     """Run the command line with an engine that compiles nothing, in this process."""
-    from pcnde_bridge import fits, model, tasks
+    from pcnde_bridge._utils import parallel as tasks
+    from pcnde_bridge.model import fit_task as fits
+    from pcnde_bridge.model import pcnde as model
 
     for module in (fits, model):
         monkeypatch.setattr(module, "select_engine", lambda *_, **__: engine)
@@ -522,7 +528,7 @@ def test_a_cross_validation_without_any_result_is_a_failure(commands, engine, mo
 
 
 def test_bench_continues_its_training(commands, engine, tmp_path, monkeypatch):
-    from pcnde_bridge import baselines
+    from pcnde_bridge.evaluation import baselines
 
     monkeypatch.setattr(baselines, "standard_baselines", dict)
     interrupt_at(engine, monkeypatch, 4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import InputError
-from pcnde_bridge.metrics import (
+from pcnde_bridge.model.metrics import (
     AREA_MARGIN,
     compared,
     error_table,

@@ -11,11 +11,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PAPER, PCNDE, PUBLISHED_CODE, Cases, InputError, __version__
-from pcnde_bridge.archive import read_archive, write_archive
+from pcnde_bridge import (
+    PAPER,
+    PCNDE,
+    PUBLISHED_CODE,
+    Cases,
+    InputError,
+    __version__,
+)
+from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.parameters import STAGES
 from pcnde_bridge.errors import DataNotFoundError, FileError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.parameters import STAGES
 
 VARIABLES = ("flow", "area", "pressure")
 
@@ -114,7 +121,7 @@ def test_history(small_model):
 def test_progress_is_written_to_standard_error_alone(
     small_cases, toy_config, toy_engine, capsys, monkeypatch
 ):
-    monkeypatch.setattr("pcnde_bridge.progress._LOG_EVERY", 0.0)
+    monkeypatch.setattr("pcnde_bridge.training.progress._LOG_EVERY", 0.0)
     PCNDE.fit(small_cases, toy_config, engine=toy_engine)
     captured = capsys.readouterr()
     assert captured.out == ""

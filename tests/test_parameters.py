@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import PAPER, InputError
-from pcnde_bridge.parameters import (
+from pcnde_bridge.engines.parameters import (
     PRESSURE_STAGES,
     STAGES,
     Parameters,

@@ -20,18 +20,22 @@ from test_closures import (
     waves,
 )
 
-from pcnde_bridge import PCNDE, Cases, InputError
-from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.closures.training import ClosureTrainer
-from pcnde_bridge.closures.uncertainty import Chances, draw
+from pcnde_bridge import (
+    PCNDE,
+    Cases,
+    InputError,
+)
+from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.config import PHYSICS, ClosureConfig
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.splits import neighbouring_parts
 from pcnde_bridge.engines import select_engine, why_not_julia
+from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.errors import FileError, SolveError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.held_out import neighbouring_parts
-from pcnde_bridge.novelty import Novelty, OutsideTrainingWarning
-from pcnde_bridge.parameters import initial_parameters
-from pcnde_bridge.tables import read_frame
+from pcnde_bridge.io.tables import read_frame
+from pcnde_bridge.training.closure_trainer import ClosureTrainer
+from pcnde_bridge.uncertainty.novelty import Novelty, OutsideTrainingWarning
+from pcnde_bridge.uncertainty.sampling import Chances, draw
 
 VARIABLES = ("flow", "area", "pressure")
 SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}

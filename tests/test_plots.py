@@ -10,8 +10,8 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 from pcnde_bridge import InputError, plots
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.plots import style
-from pcnde_bridge.prediction import Prediction
 from pcnde_bridge.studies import (
     FourierEffect,
     NoiseStudy,

@@ -8,9 +8,13 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from pcnde_bridge import progress
-from pcnde_bridge.history import Iteration
-from pcnde_bridge.progress import TaskProgress, TrainingProgress, listening
+from pcnde_bridge.training import progress
+from pcnde_bridge.training.history import Iteration
+from pcnde_bridge.training.progress import (
+    TaskProgress,
+    TrainingProgress,
+    listening,
+)
 
 
 class Clock:

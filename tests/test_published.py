@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import PCNDE
-from pcnde_bridge.metrics import relative_error
+from pcnde_bridge.model.metrics import relative_error
 
 pytestmark = pytest.mark.data
 

@@ -17,7 +17,8 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLPolyDataWriter
 
 from pcnde_bridge import FileError, InputError
-from pcnde_bridge.formats import (
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.io import (
     read_csv,
     read_hdf5,
     read_simvascular,
@@ -26,8 +27,7 @@ from pcnde_bridge.formats import (
     write_pvd,
     write_vtp,
 )
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.model.prediction import Prediction
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_columns_that_are_no_labels_are_refused_at_once(prediction, tmp_path, mo
     frame["velocity"] = frame["flow"] / frame["area"] + 1e-9 * np.arange(len(frame))
     frame.to_csv(path, index=False)
     # Before a single one of their many cases is made, which would take hours.
-    monkeypatch.setattr("pcnde_bridge.formats.csv._vessel", lambda *_: pytest.fail("made"))
+    monkeypatch.setattr("pcnde_bridge.io.csv._vessel", lambda *_: pytest.fail("made"))
     with pytest.raises(InputError, match=r"velocity changes within a case, .* left out"):
         read_csv(path, period=1.0)
     frame.drop(columns="waveform").to_csv(path, index=False)

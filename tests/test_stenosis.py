@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from pcnde_bridge.stenosis import (
+from pcnde_bridge.hemodynamics.pressure_losses import (
     diameter,
     effective_length,
     pressure_drop,

@@ -9,11 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import PCNDE, InputError, stenosis
+from pcnde_bridge import PCNDE, InputError
 from pcnde_bridge.config import PHYSICS
-from pcnde_bridge.metrics import AREA_MARGIN, error_table, relative_error
-from pcnde_bridge.parameters import PRESSURE_STAGES
-from pcnde_bridge.prediction import Prediction
+from pcnde_bridge.engines.parameters import PRESSURE_STAGES
+from pcnde_bridge.hemodynamics import pressure_losses as stenosis
+from pcnde_bridge.model.metrics import (
+    AREA_MARGIN,
+    error_table,
+    relative_error,
+)
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.studies import (
     activation_study,
     box_statistics,

@@ -9,15 +9,19 @@ from scipy.integrate import solve_ivp
 from pcnde_bridge import plots
 from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import FlowInputs
-from pcnde_bridge.engines.julia import julia_status
+from pcnde_bridge.engines.julia.engine import julia_status
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.protocol import FlowInputs
+from pcnde_bridge.engines.staged import undeformed
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.inference import undeformed
-from pcnde_bridge.metrics import relative_error
-from pcnde_bridge.parameters import initial_parameters
+from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.studies import compare_formulations, explore_landscapes
 from pcnde_bridge.studies.formulations import variation
-from pcnde_bridge.studies.landscapes import Landscape, amplitudes, loss_landscape
+from pcnde_bridge.studies.landscapes import (
+    Landscape,
+    amplitudes,
+    loss_landscape,
+)
 
 _STATUS = julia_status()
 TERMS = ("friction", "convection", "inertia")

@@ -8,11 +8,20 @@ import warnings
 import numpy as np
 import pytest
 
-from pcnde_bridge import Cases, InputError, SolveError, load_cases
-from pcnde_bridge import synthetic as module
-from pcnde_bridge.synthetic import OUTLET_RESISTANCE, base_waveform, synthetic
-from pcnde_bridge.tube1d import Tube1D
-from pcnde_bridge.waveform import DATA_FACTORS, coronary
+from pcnde_bridge import (
+    Cases,
+    InputError,
+    SolveError,
+    load_cases,
+)
+from pcnde_bridge.hemodynamics import synthetic as module
+from pcnde_bridge.hemodynamics.solver import Tube1D
+from pcnde_bridge.hemodynamics.synthetic import (
+    OUTLET_RESISTANCE,
+    base_waveform,
+    synthetic,
+)
+from pcnde_bridge.hemodynamics.waveform import DATA_FACTORS, coronary
 
 TUBE = Tube1D(n_times=20, steps=100)
 SMALL = {"n_points": 81, "tube": TUBE, "progress": False}
@@ -132,7 +141,9 @@ def test_bad_arguments(arguments, message, tmp_path):
 
 
 def test_all_vessels_are_checked_before_computing(monkeypatch):
-    monkeypatch.setattr("pcnde_bridge.tube1d.run", lambda *_: pytest.fail("it computed"))
+    monkeypatch.setattr(
+        "pcnde_bridge.hemodynamics.solver.run", lambda *_: pytest.fail("it computed")
+    )
     message = r"area_undeformed of case 0 \(geometry 10, waveform 0\) changes 2\.95-fold"
     with pytest.raises(InputError, match=message):
         synthetic(10, 2, n_points=35, cache=False, progress=False)

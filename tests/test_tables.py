@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.tables import read_columns, read_cycle
+from pcnde_bridge.io.tables import read_columns, read_cycle
 
 TIME = np.arange(4) / 4
 

@@ -12,9 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcnde_bridge import FileError, InputError, SolveError, TaskError
-from pcnde_bridge.archive import read_archive, write_archive
-from pcnde_bridge.tasks import Outcome, processes, remove_results, run
+from pcnde_bridge import (
+    FileError,
+    InputError,
+    SolveError,
+    TaskError,
+)
+from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.parallel import (
+    Outcome,
+    processes,
+    remove_results,
+    run,
+)
 
 
 def work(seed):

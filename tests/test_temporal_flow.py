@@ -9,12 +9,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pcnde_bridge.config import PAPER
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.base import TemporalFlowInputs
-from pcnde_bridge.engines.julia import julia_status
+from pcnde_bridge.engines.julia.engine import julia_status
+from pcnde_bridge.engines.parameters import initial_temporal_flow
+from pcnde_bridge.engines.protocol import TemporalFlowInputs
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.parameters import initial_temporal_flow
 
 _STATUS = julia_status()
 N_TIMES, N_POINTS, N_CASES = 12, 7, 2

@@ -13,16 +13,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcnde_bridge import PAPER, PCNDE, PRESETS, Cases, InputError
-from pcnde_bridge.algorithm import Unit
-from pcnde_bridge.checkpoints import previous
-from pcnde_bridge.engines.base import FlowInputs
+from pcnde_bridge import (
+    PAPER,
+    PCNDE,
+    PRESETS,
+    Cases,
+    InputError,
+)
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.parameters import STAGES, initial_parameters
+from pcnde_bridge.engines.protocol import FlowInputs
+from pcnde_bridge.engines.staged import solve_area, undeformed
 from pcnde_bridge.errors import FileError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.history import Iteration, from_array, to_array, to_frame
-from pcnde_bridge.inference import solve_area, undeformed
-from pcnde_bridge.parameters import STAGES, initial_parameters
-from pcnde_bridge.training import Trainer, TrainingState, check, count_iterations, plan
+from pcnde_bridge.training.algorithm import Unit
+from pcnde_bridge.training.checkpoint import previous
+from pcnde_bridge.training.history import (
+    Iteration,
+    from_array,
+    to_array,
+    to_frame,
+)
+from pcnde_bridge.training.trainer import (
+    Trainer,
+    TrainingState,
+    check,
+    count_iterations,
+    plan,
+)
 
 
 def without_seconds(history):
@@ -249,7 +266,7 @@ def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
         flow = toy_engine.flow.solve(
             first.flow, FlowInputs(small_cases.inflow, undeformed(s_u, 20)), grid, config
         )
-        from pcnde_bridge.engines.base import IntermediateAreaInputs
+        from pcnde_bridge.engines.protocol import IntermediateAreaInputs
 
         whole = toy_engine.intermediate_area.solve(
             first.intermediate_area, IntermediateAreaInputs(flow, s_u), grid, config
@@ -371,7 +388,7 @@ import sys, time
 sys.path.insert(0, {tests!r})
 from conftest import ToyEngine
 from pcnde_bridge import Cases, PCNDEConfig
-from pcnde_bridge.training import Trainer
+from pcnde_bridge.training.trainer import Trainer
 
 config = PCNDEConfig.from_json(open({config!r}).read())
 trainer = Trainer(Cases.load({cases!r}), config, ToyEngine(), checkpoint={checkpoint!r})
@@ -481,8 +498,8 @@ def test_a_model_is_no_checkpoint(small_cases, toy_config, toy_engine, tmp_path)
 def test_a_checkpoint_with_something_missing(
     small_cases, toy_config, toy_engine, checkpoint, monkeypatch
 ):
-    from pcnde_bridge import checkpoints
-    from pcnde_bridge.archive import read_archive
+    from pcnde_bridge._utils.archive import read_archive
+    from pcnde_bridge.training import checkpoint as checkpoints
 
     facts, arrays = read_archive(checkpoint, "pcnde-checkpoint", 1, "checkpoint")
     losses = [("facts", name) for name in ("seed", "finished", "config", "cases", "couplings")]

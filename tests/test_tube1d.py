@@ -6,11 +6,19 @@ import pytest
 from scipy.integrate import trapezoid
 
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.stenosis import pressure_drop
-from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
-from pcnde_bridge.vessel import Stenosis, Vessel
-from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall, OlufsenWall
-from pcnde_bridge.waveform import Waveform, coronary
+from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
+from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
+from pcnde_bridge.hemodynamics.solver import (
+    Tube1D,
+    Windkessel,
+    outlet_resistance,
+)
+from pcnde_bridge.hemodynamics.tube_laws import (
+    PAPER_REFERENCE_PRESSURE,
+    LinearWall,
+    OlufsenWall,
+)
+from pcnde_bridge.hemodynamics.waveform import Waveform, coronary
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.UnitsWarning")
 
@@ -439,7 +447,9 @@ def with_value(array, index, value):
     ],
 )
 def test_bad_input_is_refused_before_computing(make, words, monkeypatch):
-    monkeypatch.setattr("pcnde_bridge.tube1d.run", lambda *_: pytest.fail("it computed"))
+    monkeypatch.setattr(
+        "pcnde_bridge.hemodynamics.solver.run", lambda *_: pytest.fail("it computed")
+    )
     with pytest.raises(InputError, match=words):
         make()
 

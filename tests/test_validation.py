@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from pcnde_bridge import InputError
-from pcnde_bridge.baselines import ResponseSurface
-from pcnde_bridge.tube1d import Tube1D
-from pcnde_bridge.validation import all_of, finite, positive, whole
+from pcnde_bridge._utils.validation import (
+    all_of,
+    finite,
+    positive,
+    whole,
+)
+from pcnde_bridge.evaluation.baselines import ResponseSurface
+from pcnde_bridge.hemodynamics.solver import Tube1D
 
 
 @pytest.mark.parametrize("value", [3, np.int64(3), np.uint8(3)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.vessel import Stenosis, Vessel
+from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 
 
 @pytest.mark.parametrize("blockage", [0.0, 0.4, 0.85])

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.wall import PAPER_REFERENCE_PRESSURE, LinearWall, OlufsenWall
+from pcnde_bridge.hemodynamics.tube_laws import (
+    PAPER_REFERENCE_PRESSURE,
+    LinearWall,
+    OlufsenWall,
+)
 
 WALLS = [
     LinearWall(),

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.waveform import DATA_FACTORS, Waveform, coronary
+from pcnde_bridge.hemodynamics.waveform import (
+    DATA_FACTORS,
+    Waveform,
+    coronary,
+)
 
 RNG = np.random.default_rng(4)
 

@@ -26,8 +26,8 @@ from pcnde_bridge.app import page
 from pcnde_bridge.app.explorer import Explorer, Scores
 from pcnde_bridge.app.inputs import Inputs, read_waveform
 from pcnde_bridge.errors import InputError, PCNDEError
-from pcnde_bridge.novelty import EDGE
-from pcnde_bridge.waveform import Waveform
+from pcnde_bridge.hemodynamics.waveform import Waveform
+from pcnde_bridge.uncertainty.novelty import EDGE
 
 CONTROLS = {
     "blockage": ("blockage", "value"),

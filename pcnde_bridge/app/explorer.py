@@ -9,21 +9,24 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import Array
 from pcnde_bridge.app.inputs import Choices, Inputs
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.closures.parameters import ClosureParameters
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.errors import PCNDEError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.model import PCNDE
+from pcnde_bridge.hemodynamics.solver import (
+    Tube1D,
+    Windkessel,
+    outlet_resistance,
+)
+from pcnde_bridge.hemodynamics.synthetic import OUTLET_RESISTANCE
+from pcnde_bridge.hemodynamics.tube_laws import LinearWall
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.plots.style import QUANTITIES, shown
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.synthetic import OUTLET_RESISTANCE
-from pcnde_bridge.tube1d import Tube1D, Windkessel, outlet_resistance
-from pcnde_bridge.wall import LinearWall
 
-Array = npt.NDArray[np.float64]
 Limits = Mapping[str, tuple[Array, Array]]
 T = TypeVar("T")
 

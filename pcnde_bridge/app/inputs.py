@@ -12,16 +12,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import Array
 from pcnde_bridge.errors import InputError, PCNDEError
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.synthetic import BLOCKAGES
-from pcnde_bridge.tables import read_cycle
-from pcnde_bridge.vessel import Stenosis, Vessel
-from pcnde_bridge.waveform import DATA_FACTORS, Waveform, coronary
-
-Array = npt.NDArray[np.float64]
+from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
+from pcnde_bridge.hemodynamics.synthetic import BLOCKAGES
+from pcnde_bridge.hemodynamics.waveform import (
+    DATA_FACTORS,
+    Waveform,
+    coronary,
+)
+from pcnde_bridge.io.tables import read_cycle
+from pcnde_bridge.model.pcnde import PCNDE
 
 _BEYOND = 0.25  # of the training range, on either side
 _SHORTEST, _LONGEST = 0.2, 1.0  # stenoses, cm; 0.16 is what the 1D solver's grid resolves
@@ -231,7 +233,7 @@ def _strongest(ends: Array, period: float) -> tuple[Waveform, tuple[float, float
 def _stenosed(z: Array, ends: Array) -> tuple[Vessel, tuple[float, float], float, float]:
     """Healthy vessel, smallest and largest blockage, throat and length of the stenosis.
 
-    The narrowing of :mod:`pcnde_bridge.vessel` is half as deep at a quarter of its
+    The narrowing of :mod:`pcnde_bridge.hemodynamics.geometry` is half as deep at a quarter of its
     length from the throat; other shapes are taken as if they were of this one.
     """
     # The end slices of 3D vessels can be a little off, so that the inlet's area will not do.

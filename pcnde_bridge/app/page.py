@@ -11,9 +11,17 @@ from dash import Patch, dcc, html
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from pcnde_bridge.app.explorer import Explorer, Line, Panel
+from pcnde_bridge.app.explorer import (
+    Explorer,
+    Line,
+    Panel,
+)
 from pcnde_bridge.app.inputs import Choices, Span
-from pcnde_bridge.plots.style import PREDICTED, TRUTH, label
+from pcnde_bridge.plots.style import (
+    PREDICTED,
+    TRUTH,
+    label,
+)
 
 BAND, GIVEN, TUBE, CURVE = range(4)
 """Order of the traces of a panel."""

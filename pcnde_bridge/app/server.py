@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from pcnde_bridge.errors import InputError, PCNDEError
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.novelty import OutsideTrainingWarning
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
 
 if TYPE_CHECKING:
     from dash import Dash
@@ -155,7 +155,7 @@ def serve(model: PCNDE, name: str, port: int = 8050) -> None:
     server = make_server(model, name, port)
     # The page says it itself.
     warnings.filterwarnings("ignore", category=OutsideTrainingWarning)
-    logging.getLogger("pcnde_bridge.tube1d").setLevel(logging.WARNING)
+    logging.getLogger("pcnde_bridge.hemodynamics.solver").setLevel(logging.WARNING)
     print(f"Explore {name} at http://{ADDRESS}:{server.port} (Ctrl-C ends).", flush=True)
     try:
         server.serve_forever()

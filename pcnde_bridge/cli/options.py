@@ -10,10 +10,15 @@ from typing import Annotated
 
 import typer
 
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge._utils.files import check_writable
+from pcnde_bridge.config import (
+    PRESETS,
+    ClosureConfig,
+    PCNDEConfig,
+    resolve_config,
+)
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.files import check_writable
 
 
 class EngineChoice(StrEnum):

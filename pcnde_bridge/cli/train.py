@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from pcnde_bridge import checkpoints, cross_validation, tasks
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.cli.console import interrupted, note, say, show, show_errors
+from pcnde_bridge._utils import parallel as tasks
+from pcnde_bridge._utils.files import atomic_write
+from pcnde_bridge.cli.console import (
+    interrupted,
+    note,
+    say,
+    show,
+    show_errors,
+)
 from pcnde_bridge.cli.options import (
     ConfigOption,
     DataArgument,
@@ -25,16 +31,18 @@ from pcnde_bridge.cli.options import (
     split_of,
 )
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
-from pcnde_bridge.datasets import load_cases
-from pcnde_bridge.ensemble import Ensemble
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError, TaskError
-from pcnde_bridge.files import atomic_write
-from pcnde_bridge.metrics import pooled
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.evaluation import cross_validation
+from pcnde_bridge.io.datasets import load_cases
+from pcnde_bridge.model.ensemble import Ensemble
+from pcnde_bridge.model.metrics import pooled
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.training import checkpoint as checkpoints
 
 if TYPE_CHECKING:
-    from pcnde_bridge.bench import Row
+    from pcnde_bridge.evaluation.benchmark import Row
 
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
@@ -153,8 +161,13 @@ def bench(
     ] = None,
 ) -> None:
     """Print errors and times of a model beside the baselines'."""
-    from pcnde_bridge.baselines import standard_baselines
-    from pcnde_bridge.bench import bench_baseline, bench_model, checkpoint_name, write_rows
+    from pcnde_bridge.evaluation.baselines import standard_baselines
+    from pcnde_bridge.evaluation.benchmark import (
+        bench_baseline,
+        bench_model,
+        checkpoint_name,
+        write_rows,
+    )
 
     training = {
         "--preset": preset != "paper",
@@ -200,7 +213,7 @@ def demo(
     engine: EngineOption = EngineChoice.auto,
 ) -> None:
     """Simulate, train, evaluate and predict, in three minutes."""
-    from pcnde_bridge.demo import run_demo
+    from pcnde_bridge.cli.demo import run_demo
 
     try:
         result = run_demo(out, seed, engine.value)

@@ -6,8 +6,8 @@ import logging
 from functools import cache
 from typing import Literal, get_args
 
-from pcnde_bridge import interrupts
-from pcnde_bridge.engines.base import Engine
+from pcnde_bridge._utils import interrupts
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 
 __all__ = ["Engine", "EngineName", "select_engine"]
@@ -57,7 +57,7 @@ def select_engine(name: EngineName | Engine = "auto") -> Engine:
 
 def why_not_julia() -> str | None:
     """Reason why Julia is not usable as the machine is, found without starting it."""
-    from pcnde_bridge.engines.julia import julia_status
+    from pcnde_bridge.engines.julia.engine import julia_status
 
     status = julia_status()
     return None if status.usable else status.message
@@ -67,7 +67,7 @@ def why_not_julia() -> str | None:
 def _jax() -> Engine:
     try:
         with interrupts.held():
-            from pcnde_bridge.engines.jax import JaxEngine
+            from pcnde_bridge.engines.jax.engine import JaxEngine
     except ImportError as error:
         raise EngineUnavailableError(
             f"The JAX engine needs jax and diffrax, but {error}. "
@@ -78,6 +78,6 @@ def _jax() -> Engine:
 
 @cache
 def _julia() -> Engine:
-    from pcnde_bridge.engines.julia import JuliaEngine
+    from pcnde_bridge.engines.julia.engine import JuliaEngine
 
     return JuliaEngine()

@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.plots.style import PREDICTED, SPACE, TIME, TRUTH, new_figure, plain
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.plots.style import (
+    PREDICTED,
+    SPACE,
+    TIME,
+    TRUTH,
+    new_figure,
+    plain,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

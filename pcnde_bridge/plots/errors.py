@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.plots.style import (
     ERRORS,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import AREA_MARGIN
+from pcnde_bridge.model.metrics import AREA_MARGIN
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.plots.style import (
     PREDICTED,
     TRUTH,
@@ -26,13 +26,9 @@ from pcnde_bridge.plots.style import (
     plain,
     shown,
 )
-from pcnde_bridge.prediction import Prediction
-from pcnde_bridge.variables import VARIABLES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Array = npt.NDArray[np.float64]
 
 
 def time_and_space(
@@ -112,7 +108,7 @@ def results(
     cases : Cases
         The truth; the paper shows its narrowest geometry under all waveforms.
     other : mapping of str to array of shape (case, time, z), optional
-        Of another method, such as :class:`pcnde_bridge.baselines.Solver1D`.
+        Of another method, such as :class:`pcnde_bridge.evaluation.baselines.Solver1D`.
     other_label, truth_label : str
         What the other method and the cases are, for the legend.
     area_case : int

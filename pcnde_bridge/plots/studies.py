@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.plots.style import (
@@ -29,9 +28,11 @@ from pcnde_bridge.plots.style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pcnde_bridge.studies import FourierEffect, NoiseStudy, PressureDrops
-
-Array = npt.NDArray[np.float64]
+    from pcnde_bridge.studies import (
+        FourierEffect,
+        NoiseStudy,
+        PressureDrops,
+    )
 
 
 def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -> Figure:

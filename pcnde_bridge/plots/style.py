@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = npt.NDArray[np.float64]
 
 TRUTH, PREDICTED, OTHER, EMPIRICAL = "#D55E00", "#0072B2", "#009E73", "#000000"
 """Truth, PCNDE, another method, an empirical formula."""

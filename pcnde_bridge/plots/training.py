@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import OTHER, PREDICTED, TRUTH, new_figure, plain
+from pcnde_bridge.plots.style import (
+    OTHER,
+    PREDICTED,
+    TRUTH,
+    new_figure,
+    plain,
+)
 
 if TYPE_CHECKING:
     import numpy.typing as npt

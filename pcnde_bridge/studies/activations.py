@@ -10,23 +10,24 @@ from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.parallel import Workers, each
+from pcnde_bridge._utils.validation import whole_seeds
 from pcnde_bridge.config import Activation, PCNDEConfig
-from pcnde_bridge.engines.base import Engine
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.engines.parameters import PRESSURE_STAGES, Parameters
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import relative_error
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.parameters import PRESSURE_STAGES, Parameters
-from pcnde_bridge.studies._each import each
-from pcnde_bridge.tasks import Workers
-from pcnde_bridge.training import Trainer, TrainingState, plan
-from pcnde_bridge.validation import whole_seeds
-
-Array = npt.NDArray[np.float64]
+from pcnde_bridge.model.metrics import relative_error
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.training.trainer import (
+    Trainer,
+    TrainingState,
+    plan,
+)
 
 ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
 """The paper's, in its order."""
@@ -58,7 +59,7 @@ def activation_study(
         Of the pressure network's first weights; all activations are fitted with each.
     executor : Executor, or callable that makes one, optional
         Who runs the fits; None runs them here.  The same bits come of
-        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
+        as many threads of XLA, see :mod:`pcnde_bridge._utils.parallel`.
     progress : bool
         Show progress on standard error.
 

@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import POOLED, compared, error_table
-
-Array = npt.NDArray[np.float64]
+from pcnde_bridge.model.metrics import (
+    POOLED,
+    compared,
+    error_table,
+)
 
 _WHISKER = 1.5  # quartile distances
 _STATISTICS = ("median", "lower", "upper", "low", "high", "largest", "outliers")

@@ -17,29 +17,33 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge import all_at_once
-from pcnde_bridge import history as histories
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import whole
+from pcnde_bridge.config import (
+    PAPER,
+    PCNDEConfig,
+    resolve_pcnde_config,
+)
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import check_grid
 from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.base import (
+from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
+from pcnde_bridge.engines.protocol import (
     Engine,
     FlowInputs,
     IntermediateAreaInputs,
     Stage,
     TemporalFlowInputs,
 )
+from pcnde_bridge.engines.staged import solve_area, undeformed
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.grid import check_grid
-from pcnde_bridge.history import Iteration, Recorder
-from pcnde_bridge.inference import solve_area, undeformed
-from pcnde_bridge.metrics import compared, relative_error
-from pcnde_bridge.parameters import initial_parameters, initial_temporal_flow
-from pcnde_bridge.progress import listening
-from pcnde_bridge.training import TrainingState
-from pcnde_bridge.validation import whole
+from pcnde_bridge.model.metrics import compared, relative_error
+from pcnde_bridge.training import full_batch as all_at_once
+from pcnde_bridge.training import history as histories
+from pcnde_bridge.training.history import Iteration, Recorder
+from pcnde_bridge.training.progress import listening
+from pcnde_bridge.training.trainer import TrainingState
 
-Array = npt.NDArray[np.float64]
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
 
 FORMULATIONS: tuple[Formulation, ...] = ("spatial", "temporal", "temporal_with_time")
@@ -164,7 +168,7 @@ def compare_formulations(
     seed : int
         Of the first weights and the batches.
     progress : bool or callable
-        Show progress, or call with every :class:`~pcnde_bridge.history.Iteration`.
+        Show progress, or call with every :class:`~pcnde_bridge.training.history.Iteration`.
 
     Returns
     -------

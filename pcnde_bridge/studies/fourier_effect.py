@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import IntermediateAreaInputs
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import IntermediateAreaInputs
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import compared, relative_error
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.parameters import Parameters
-
-Array = npt.NDArray[np.float64]
+from pcnde_bridge.model.metrics import compared, relative_error
+from pcnde_bridge.model.pcnde import PCNDE
 
 
 @dataclass(frozen=True, eq=False)

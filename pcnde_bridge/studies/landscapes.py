@@ -20,20 +20,29 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge import history as histories
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.config import PAPER, PCNDEConfig, Term, resolve_pcnde_config
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import positive, whole
+from pcnde_bridge.config import (
+    PAPER,
+    PCNDEConfig,
+    Term,
+    resolve_pcnde_config,
+)
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.base import Engine, FlowInputs
+from pcnde_bridge.engines.protocol import Engine, FlowInputs
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.history import Iteration
-from pcnde_bridge.metrics import compared, relative_error
-from pcnde_bridge.progress import listening
-from pcnde_bridge.training import Trainer, TrainingState, plan
-from pcnde_bridge.validation import positive, whole
+from pcnde_bridge.model.metrics import compared, relative_error
+from pcnde_bridge.training import history as histories
+from pcnde_bridge.training.history import Iteration
+from pcnde_bridge.training.progress import listening
+from pcnde_bridge.training.trainer import (
+    Trainer,
+    TrainingState,
+    plan,
+)
 
-Array = npt.NDArray[np.float64]
 Moment = Literal["initial", "coupled"]
 
 RIGHT_HAND_SIDES: Mapping[str, tuple[Term, ...]] = {
@@ -205,7 +214,7 @@ def loss_landscape(
     parameters : array of shape (size,)
         θ, in the middle.
     inputs, target, grid, config
-        Of the flow stage; see :class:`pcnde_bridge.engines.base.Stage`.
+        Of the flow stage; see :class:`pcnde_bridge.engines.protocol.Stage`.
     amplitude : float
         Largest |α₁| and |α₂|.
     points : int
@@ -280,7 +289,7 @@ def explore_landscapes(
     seed : int
         Of the first parameters, the batches, and the directions.
     progress : bool or callable
-        Show progress, or call with every :class:`~pcnde_bridge.history.Iteration`.
+        Show progress, or call with every :class:`~pcnde_bridge.training.history.Iteration`.
 
     Returns
     -------

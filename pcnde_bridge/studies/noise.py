@@ -12,23 +12,21 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge import recipes
-from pcnde_bridge.cases import Cases
-from pcnde_bridge.closures.parameters import ClosureParameters
-from pcnde_bridge.engines.base import Engine, Solution
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.parallel import Workers, each
+from pcnde_bridge._utils.validation import whole
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import Engine, Solution
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.model import PCNDE
-from pcnde_bridge.parameters import Parameters
-from pcnde_bridge.studies._each import each
-from pcnde_bridge.tasks import Workers
-from pcnde_bridge.validation import whole
-from pcnde_bridge.variables import VARIABLES
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.training import recipes
 
-Array = npt.NDArray[np.float64]
 NoisyInput = Literal["inflow", "area_undeformed"]
 
 _BLOCK = 32  # at most so many rows are predicted at once
@@ -113,7 +111,7 @@ def noise_study(
         Of the noise.
     executor : Executor, or callable that makes one, optional
         Who predicts the draws; None predicts them here.  The same bits come of
-        as many threads of XLA, see :mod:`pcnde_bridge.tasks`.
+        as many threads of XLA, see :mod:`pcnde_bridge._utils.parallel`.
 
     Returns
     -------

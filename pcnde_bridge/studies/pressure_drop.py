@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge import stenosis
-from pcnde_bridge.cases import Cases
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import Physics
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.metrics import POOLED, relative_error
-
-Array = npt.NDArray[np.float64]
-
+from pcnde_bridge.hemodynamics import pressure_losses as stenosis
+from pcnde_bridge.model.metrics import POOLED, relative_error
 
 _PHYSICS = Physics()
 

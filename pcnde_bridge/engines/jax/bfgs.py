@@ -1,6 +1,7 @@
 """BFGS as Optim.jl runs it, with the BackTracking line search of LineSearches.jl.
 
 The paper's fits are short: 5 to 250 iterations of up to 2724 parameters, each
+from pcnde_bridge._typing import Array
 from a scaled identity as inverse Hessian.  So the inverse Hessian is never
 formed: its product with the gradient is computed from the stored pairs of steps
 and gradient changes (Nocedal and Wright 2006, algorithm 7.4, all pairs kept),
@@ -14,13 +15,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import BFGS
-from pcnde_bridge.engines.base import Fit, OnIteration
+from pcnde_bridge.engines.protocol import Fit, OnIteration
 from pcnde_bridge.errors import SolveError
-
-Array = npt.NDArray[np.float64]
 
 
 class _LineSearchError(Exception):

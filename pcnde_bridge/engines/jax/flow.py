@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.jax.equal_steps import integrate
-from pcnde_bridge.engines.jax.march import Here, march
-from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
-from pcnde_bridge.parameters import layer_sizes
+from pcnde_bridge.engines.jax.adaptive_tsit5 import Here, march
+from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
+from pcnde_bridge.engines.parameters import layer_sizes
 
 
 class FlowNetwork(NamedTuple):

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines.jax.adaptive_tsit5 import Here, march
 from pcnde_bridge.engines.jax.area import flow_slope
 from pcnde_bridge.engines.jax.flow import take_apart
-from pcnde_bridge.engines.jax.march import Here, march
-from pcnde_bridge.engines.jax.network import ACTIVATIONS
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
 
 DELTA = 1 / 3
 """δ of a parabolic velocity profile."""

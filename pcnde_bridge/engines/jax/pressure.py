@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig, Physics
-from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
 from pcnde_bridge.engines.jax.separable import Separable
-from pcnde_bridge.parameters import layer_sizes
-from pcnde_bridge.stenosis import pressure_drop
+from pcnde_bridge.engines.parameters import layer_sizes
+from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 
 
 def temporal(

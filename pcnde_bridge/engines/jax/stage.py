@@ -11,16 +11,19 @@ from typing import Any, Generic, Protocol, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Objective, OnIteration
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.bfgs import minimise
+from pcnde_bridge.engines.protocol import (
+    Fit,
+    Objective,
+    OnIteration,
+)
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.grid import Grid
-from pcnde_bridge.precision import double_precision
 
-Array = npt.NDArray[np.float64]
 InputsT = TypeVar("InputsT")
 
 _LARGEST_BATCH = 128
@@ -88,7 +91,7 @@ class JaxStage(Generic[InputsT]):
         self._values = compile_(self._losses)
 
     def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             where, settings = _on_device(grid), self._relevant(config)
 
@@ -102,7 +105,7 @@ class JaxStage(Generic[InputsT]):
     def loss_and_gradient(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             data = _fit_data(inputs, target, grid)
             loss, gradient = self._value_and_gradient(
@@ -113,7 +116,7 @@ class JaxStage(Generic[InputsT]):
     def losses(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             data, settings = _fit_data(inputs, target, grid), self._relevant(config)
             together = max(1, _LARGEST_BATCH // len(data[1]))
@@ -129,7 +132,7 @@ class JaxStage(Generic[InputsT]):
     def objective(
         self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         # Cases of weight 0 stay, so that every choice is compiled once.
         with double_precision():
             arrays = tuple(jnp.asarray(a) for a in _arrays(inputs))
@@ -153,7 +156,7 @@ class JaxStage(Generic[InputsT]):
         iterations: int,
         on_iteration: OnIteration | None = None,
     ) -> Fit:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             data, settings = _fit_data(inputs, target, grid), self._relevant(config)
 

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.jax.network import ACTIVATIONS, unpack
-from pcnde_bridge.parameters import layer_sizes
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
+from pcnde_bridge.engines.parameters import layer_sizes
 
 
 def solve(

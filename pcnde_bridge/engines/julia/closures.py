@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge.buffers import Buffers
-from pcnde_bridge.closures.parameters import ClosureParameters
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.base import Solution
-from pcnde_bridge.engines.closures import Problem
-from pcnde_bridge.grid import Grid
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.buffers import Buffers
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.closure_protocol import Problem
+from pcnde_bridge.engines.protocol import Solution
 
 __all__ = ["JuliaClosures"]
 
-Array = npt.NDArray[np.float64]
-
 
 class JuliaClosures:
-    """See :class:`pcnde_bridge.engines.closures.Closures`; ``call`` calls Julia."""
+    """See :class:`pcnde_bridge.engines.closure_protocol.Closures`; ``call`` calls Julia."""
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call

@@ -63,7 +63,7 @@ def core_version(folder: Path) -> str | None:
 
 
 def compatible(version: str, other: str) -> bool:
-    """Say whether two versions are alike, as Julia counts it: up to the first number that is not zero."""
+    """Return whether two versions are equal up to their first non-zero number."""
     numbers, others = (re.findall(r"\d+", v) for v in (version, other))
     significant = 1 if numbers[:1] != ["0"] else 2
     return numbers[:significant] == others[:significant]
@@ -109,5 +109,3 @@ def incompatible(version: str, where: str, ours: str, project: Path | str) -> st
         f"The Julia project {project} has PCNDECore {version} ({where}), and pcnde_bridge needs "
         f"{ours}. Bring it up to date with: {recipe(project)}"
     )
-
-

@@ -6,30 +6,31 @@ import dataclasses
 from dataclasses import fields
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
-from pcnde_bridge import interrupts
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.base import Fit, Objective, OnIteration
-from pcnde_bridge.engines.julia.process import Julia
-from pcnde_bridge.grid import Grid
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.julia.runtime import Julia
+from pcnde_bridge.engines.protocol import (
+    Fit,
+    Objective,
+    OnIteration,
+)
 
 __all__ = ["JuliaStage"]
 
-Array = npt.NDArray[np.float64]
 InputsT = TypeVar("InputsT")
 
 
 class JuliaStage(Generic[InputsT]):
-    """One stage; see :class:`pcnde_bridge.engines.base.Stage`."""
+    """One stage; see :class:`pcnde_bridge.engines.protocol.Stage`."""
 
     def __init__(self, julia: Julia, name: str) -> None:
         self._julia = julia
         self._name = name
 
     def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         result: Array = self._julia.call(
             "solve", self._name, parameters, _arrays(inputs), grid.z, float(grid.period), config
         )
@@ -38,7 +39,7 @@ class JuliaStage(Generic[InputsT]):
     def loss_and_gradient(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         args = parameters, inputs, target, grid, config
         loss, gradient = self._compare("loss_and_gradient", *args)
         return float(loss), gradient
@@ -46,7 +47,7 @@ class JuliaStage(Generic[InputsT]):
     def losses(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         result: Array = self._compare("losses", parameters, inputs, target, grid, config)
         return result
 
@@ -70,7 +71,7 @@ class JuliaStage(Generic[InputsT]):
     def objective(
         self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         chosen = weight > 0
         chosen_inputs = dataclasses.replace(
             inputs,  # type: ignore[type-var]
@@ -102,7 +103,7 @@ class JuliaStage(Generic[InputsT]):
         iterations: int,
         on_iteration: OnIteration | None = None,
     ) -> Fit:
-        """See :class:`pcnde_bridge.engines.base.Stage`."""
+        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with interrupts.kept() as look:
 
             def after_iteration(number: int, loss: float) -> None:

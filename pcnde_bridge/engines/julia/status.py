@@ -248,8 +248,7 @@ def _juliapkg_status() -> JuliaStatus:
         return JuliaStatus(False, False, message, **facts)
     if facts["offline"]:
         message = (
-            "Julia is not installed, and PYTHON_JULIAPKG_OFFLINE forbids it. "
-            f"{how_to_prepare()}"
+            f"Julia is not installed, and PYTHON_JULIAPKG_OFFLINE forbids it. {how_to_prepare()}"
         )
         return JuliaStatus(False, False, message, **facts)
     message = (
@@ -311,5 +310,3 @@ def how_to_prepare() -> str:
         f"Prepare a project where there is one ({recipe('DIR')}), and name Julia and that "
         f"project in {julia_settings_file()} or in {EXECUTABLE} and {PROJECT}."
     )
-
-

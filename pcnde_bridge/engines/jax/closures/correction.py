@@ -16,8 +16,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from pcnde_bridge.closures.parameters import CORRECTION_SCALARS
-from pcnde_bridge.engines.jax.network import unpack
+from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS
+from pcnde_bridge.engines.jax.mlp import unpack
 
 
 def storage_factor(parameters: jax.Array) -> jax.Array:

@@ -34,9 +34,13 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import CorrectionClosure, Physics
-from pcnde_bridge.engines.jax.closures import losses
+from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
-from pcnde_bridge.engines.jax.closures.quadrature import derivative, frequencies, from_inlet
+from pcnde_bridge.engines.jax.closures.spectral import (
+    derivative,
+    frequencies,
+    from_inlet,
+)
 from pcnde_bridge.engines.jax.closures.wall import displacement
 
 _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]

@@ -1,0 +1,172 @@
+r"""Pressure between a point and the outlet, from the momentum of the flow.
+
+The cross-section's momentum balance with a free jet behind every narrowing:
+
+    −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
+
+The area A_j(z) that carries the flow is S_u as long as the vessel narrows or widens
+slowly.  Where it widens faster the flow separates, and the jet's radius grows by the
+spread s per length of the way (about 0.1 for a free turbulent jet) until it fills
+the vessel again:
+
+    √(A_j(z)/π) = min over z' ≤ z of √(S_u(z')/π) + s·(z − z').
+
+For a sudden expansion this is Borda and Carnot's loss; the pressure drop that is not
+recovered has the form of Seeley and Young's turbulent term.  Nothing says where a
+stenosis is: S_u does, and there may be none, or several.  In a straight vessel
+A_j = S_u is constant and the third term is zero, and where the flow fills a vessel that
+narrows and widens again its sum is: what the flow takes to be faster it gives back.  For
+reversed flow the jet goes the other way.
+
+With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) what the wall stores of it
+(q − Q(L)) and ξ(z) the share of the storage before z, the pressure is a sum of few
+products of a function of z and a function of t.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pcnde_bridge.config import Physics
+from pcnde_bridge.engines.jax.closures.spectral import (
+    rate,
+    summed_from_inlet,
+    to_outlet,
+)
+
+_Signals = tuple[jax.Array, ...]
+"""Functions of time."""
+
+
+REVERSED = 3
+"""Modes, the last, that are zero unless some flow goes back."""
+
+
+class Coefficients(NamedTuple):
+    """Densities in z of the three terms.
+
+    Attributes
+    ----------
+    friction, inertia : array of shape (z,)
+        Factors of Q and ∂Q/∂t.
+    jet, jet_back : array of shape (z − 1,)
+        Factors of Q², integrated over each interval, for Q > 0 and for Q < 0.
+    """
+
+    friction: jax.Array
+    inertia: jax.Array
+    jet: jax.Array
+    jet_back: jax.Array
+
+
+def coefficients(
+    parameters: jax.Array, area_undeformed: jax.Array, z: jax.Array, physics: Physics
+) -> Coefficients:
+    """Densities of the terms.
+
+    Parameters
+    ----------
+    parameters : array of shape (4,)
+        c_f, c_i, c_m and the spread s.
+    area_undeformed : array of shape (z,)
+        S_u, cm².
+    z : array of shape (z,)
+        Points, cm.
+    physics : Physics
+        ρ and μ.
+    """
+    friction, inertia, convection, spread = parameters
+    steps = jnp.diff(z)
+    # With this mean the pieces where A_j = S_u add up to the change of 1/(2·S_u²), exactly.
+    between = (1 / area_undeformed[1:] + 1 / area_undeformed[:-1]) / 2
+
+    def jet(area: jax.Array, dz: jax.Array) -> jax.Array:
+        pieces: jax.Array = physics.density * jnp.diff(1 / jet_area(area, dz, spread))
+        scaled: jax.Array = convection * pieces
+        return scaled
+
+    return Coefficients(
+        friction * 8 * jnp.pi * physics.viscosity / area_undeformed**2,
+        inertia * physics.density / area_undeformed,
+        jet(area_undeformed, steps) * between,
+        -jet(area_undeformed[::-1], steps[::-1])[::-1] * between,
+    )
+
+
+def jet_area(area_undeformed: jax.Array, steps: jax.Array, spread: jax.Array) -> jax.Array:
+    """A_j (z,), cm², of a flow in the direction of z; ``steps`` (z − 1,) in cm.
+
+    The recursion's solution: the smallest of all jets that could start upstream.
+    """
+    reach = spread * summed_from_inlet(steps)
+    begins = jnp.sqrt(area_undeformed / jnp.pi) - reach
+    narrowest = jax.lax.cummin(begins)
+    # Where the flow fills the vessel, exactly: a straight vessel has no jet at all.
+    return jnp.where(narrowest == begins, area_undeformed, jnp.pi * (reach + narrowest) ** 2)
+
+
+def drop(
+    parameters: jax.Array,
+    flow: jax.Array,
+    area_undeformed: jax.Array,
+    z: jax.Array,
+    period: jax.Array,
+    physics: Physics,
+) -> jax.Array:
+    """P − p(L), (time, z), of a flow Q (time, z) that is known everywhere."""
+    c = coefficients(parameters, area_undeformed, z, physics)
+    middle = (flow[:, 1:] + flow[:, :-1]) / 2
+    jets = jnp.where(middle > 0, c.jet, c.jet_back) * middle**2
+    summed = summed_from_inlet(jets)
+    smooth = c.friction * flow + c.inertia * rate(flow.T, period).T
+    return to_outlet(smooth, z) + summed[:, -1:] - summed
+
+
+def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array:
+    """Return the functions of z, (10, z), that belong to :func:`modes_in_time`.
+
+    ``share`` (z,) is ξ.
+    """
+    between = (share[1:] + share[:-1]) / 2
+    smooth = (c.friction, -c.friction * share, c.inertia, -c.inertia * share)
+    jets = tuple(
+        summed_from_inlet(b * factor)
+        for b in (c.jet, c.jet_back)
+        for factor in (jnp.ones_like(between), -2 * between, between**2)
+    )
+    return jnp.stack([*(to_outlet(f, z) for f in smooth), *(j[-1] - j for j in jets)])
+
+
+def modes_in_time(inflow: _Signals, stored: _Signals) -> tuple[_Signals, _Signals]:
+    """Return the functions of time, ten of (time,), and their rates.
+
+    They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
+    same where it goes back.  Its direction is that in the middle of the storage,
+    q − d/2: where it is not the same everywhere, the flow is nearly zero and the jet's
+    term with it.
+
+    Parameters
+    ----------
+    inflow, stored : three arrays of shape (time,)
+        q and d with their first and second rates.
+    """
+    q, q1, q2 = inflow
+    d, d1, d2 = stored
+    linear, linear_rates = (q, d, q1, d1), (q1, d1, q2, d2)
+    squares = q * q, q * d, d * d
+    square_rates = 2 * q * q1, q1 * d + q * d1, 2 * d * d1
+    forward = goes_forward(q, d).astype(q.dtype)
+    back = 1 - forward
+
+    def directed(products: _Signals) -> _Signals:
+        return *(forward * p for p in products), *(back * p for p in products)
+
+    return (*linear, *directed(squares)), (*linear_rates, *directed(square_rates))
+
+
+def goes_forward(flow: jax.Array, stored: jax.Array) -> jax.Array:
+    """Whether the flow in the middle of the storage, q − d/2, is not reversed."""
+    return flow - stored / 2 >= 0

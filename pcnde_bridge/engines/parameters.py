@@ -1,0 +1,205 @@
+"""The learnable parameters: one layout, shared by every engine and model file.
+
+Each stage's parameters are one flat float64 vector:
+
+========================  =========================================================
+``flow``                  network 2·n_t → hidden → n_t
+``intermediate_area``     â(z), then b̂(z): 2·n_z numbers
+``fourier_area``          a(z), then b(z): 2·n_z numbers
+``temporal_pressure``     network 4·n_z → hidden → n_z
+``spatial_pressure``      a₁, a₂, then b₁(t), then b₂(t): 2 + 2·n_t numbers
+========================  =========================================================
+
+A network is stored layer by layer: the weight matrix (out × in) column by
+column, as Julia stores it, then the bias.  The flow network's input is Q at all
+instants, then S at all instants; the pressure network's is S, S − S_u, Δp and Q
+at all points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.errors import InputError
+
+PRESSURE_STAGES = ("temporal_pressure", "spatial_pressure")
+"""The stages trained after flow and area."""
+
+STAGES = (
+    "flow",
+    "intermediate_area",
+    "fourier_area",
+    *PRESSURE_STAGES,
+)
+"""Names of the five stages, in the order in which they are trained."""
+
+
+def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) -> tuple[int, ...]:
+    """Widths of a stage's network from input to output.
+
+    Parameters
+    ----------
+    stage : {'flow', 'temporal_pressure', 'temporal_flow'}
+        The stages that have a network.
+    config : PCNDEConfig
+        Gives the hidden widths.
+    n_times, n_points : int
+        Instants per cycle and points along the vessel.
+    """
+    if stage == "flow":
+        return (2 * n_times, *config.flow.hidden, n_times)
+    if stage == "temporal_flow":
+        return (n_points + config.temporal_flow.time_input, *config.temporal_flow.hidden, n_points)
+    return (4 * n_points, *config.temporal_pressure.hidden, n_points)
+
+
+def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
+    """Length of every stage's parameter vector."""
+    return {
+        "flow": network_size(layer_sizes("flow", config, n_times, n_points)),
+        "intermediate_area": 2 * n_points,
+        "fourier_area": 2 * n_points,
+        "temporal_pressure": network_size(
+            layer_sizes("temporal_pressure", config, n_times, n_points)
+        ),
+        "spatial_pressure": 2 + 2 * n_times,
+    }
+
+
+def network_size(widths: Sequence[int]) -> int:
+    """Count a network's weights and biases, from its layers' widths."""
+    return sum((n_in + 1) * n_out for n_in, n_out in pairwise(widths))
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """All parameters of a PCNDE, one flat read-only vector per stage.
+
+    Attributes
+    ----------
+    flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
+        Arrays of shape (size,), laid out as this module's text says.
+    """
+
+    flow: Array
+    intermediate_area: Array
+    fourier_area: Array
+    temporal_pressure: Array
+    spatial_pressure: Array
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            vector = np.array(getattr(self, f.name), dtype=np.float64)
+            if vector.ndim != 1:
+                raise InputError(
+                    f"The {f.name} parameters must be one flat vector, got shape {vector.shape}."
+                )
+            vector.flags.writeable = False
+            object.__setattr__(self, f.name, vector)
+
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the pressure stages' vectors are there."""
+        return self.temporal_pressure.size > 0
+
+    def without_pressure(self) -> Parameters:
+        """Copy for flow and area alone."""
+        return self.replace(**{stage: np.empty(0) for stage in PRESSURE_STAGES})
+
+    def __iter__(self) -> Iterator[tuple[str, Array]]:
+        return ((name, getattr(self, name)) for name in STAGES)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether every number is the same, bit for bit."""
+        return isinstance(other, Parameters) and all(
+            np.array_equal(mine, getattr(other, name)) for name, mine in self
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def replace(self, **vectors: Array) -> Parameters:
+        """Copy with some stages' vectors changed."""
+        return Parameters(**{**dict(self), **vectors})
+
+    def check(self, config: PCNDEConfig, n_times: int, n_points: int) -> None:
+        """Raise if a vector does not fit the configuration and grid, or is not finite.
+
+        The pressure stages' vectors may be empty: such a model predicts no pressure.
+
+        Raises
+        ------
+        InputError
+            Naming the stage, and the length found and needed or the number.
+        """
+        for stage, needed in sizes(config, n_times, n_points).items():
+            vector = getattr(self, stage)
+            if vector.ndim != 1 or not np.isfinite(vector).all():
+                raise InputError(f"The {stage} parameters are not a row of finite numbers.")
+            found = vector.size
+            if found != needed and not (found == 0 and stage in PRESSURE_STAGES):
+                raise InputError(
+                    f"The {stage} parameters have {found} numbers, but {needed} are needed for "
+                    f"{n_times} instants, {n_points} points and this configuration."
+                )
+
+
+def initial_parameters(
+    config: PCNDEConfig, n_times: int, n_points: int, seed: int, start: int = 0
+) -> Parameters:
+    """Parameters before training.
+
+    Networks start Glorot-uniform with zero bias; â = a = 1 and b̂ = b = 0, which
+    is the continuity equation itself; a₁ = a₂ = b₁ = 0 and b₂ = 1, which is the
+    empirical pressure drop itself.
+
+    Parameters
+    ----------
+    config : PCNDEConfig
+        Gives the networks' hidden widths.
+    n_times, n_points : int
+        Instants per cycle and points along the vessel.
+    seed : int
+        Of the networks' weights; each stage has a stream of its own.
+    start : int
+        Other weights of the same seed.
+    """
+    correction = np.concatenate([np.ones(n_points), np.zeros(n_points)])
+    return Parameters(
+        flow=_glorot(layer_sizes("flow", config, n_times, n_points), _stream(seed, "flow", start)),
+        intermediate_area=correction,
+        fourier_area=correction,
+        temporal_pressure=_glorot(
+            layer_sizes("temporal_pressure", config, n_times, n_points),
+            _stream(seed, "temporal_pressure", start),
+        ),
+        spatial_pressure=np.concatenate([np.zeros(2 + n_times), np.ones(n_times)]),
+    )
+
+
+def initial_temporal_flow(config: PCNDEConfig, n_points: int, seed: int) -> Array:
+    """Network of the momentum equation in time before training, Glorot-uniform.
+
+    Its input is Q at all points and, with ``time_input``, t/T; the other arguments are
+    those of :func:`initial_parameters`.
+    """
+    # No stage of the model has this stream.
+    rng = np.random.default_rng([seed, len(STAGES)])
+    return _glorot(layer_sizes("temporal_flow", config, 0, n_points), rng)
+
+
+def _stream(seed: int, stage: str, start: int) -> np.random.Generator:
+    return np.random.default_rng([seed, STAGES.index(stage), start])
+
+
+def _glorot(widths: Sequence[int], rng: np.random.Generator) -> Array:
+    vectors = []
+    for n_in, n_out in pairwise(widths):
+        limit = np.sqrt(6.0 / (n_in + n_out))
+        vectors += [rng.uniform(-limit, limit, n_in * n_out), np.zeros(n_out)]
+    return np.concatenate(vectors)

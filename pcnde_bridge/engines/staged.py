@@ -1,0 +1,95 @@
+"""The trained equations in their order: flow, area, coupled back, then pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import (
+    Engine,
+    FlowInputs,
+    FourierAreaInputs,
+    IntermediateAreaInputs,
+    Solution,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
+
+
+def undeformed(area_undeformed: Array, n_times: int) -> Array:
+    """S_u (case, z) at every instant: the area before anything is known of it."""
+    return np.repeat(area_undeformed[:, None], n_times, axis=1)
+
+
+def initial_area(intermediate: Array, n_times: int, config: PCNDEConfig) -> Array:
+    """Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
+    if config.fourier_area.anchor == "last_instant":
+        return intermediate[:, -1]
+    if config.fourier_area.anchor == "undeformed":
+        return intermediate[:, 0]
+    return intermediate[:, -n_times]
+
+
+def solve_area(
+    engine: Engine,
+    parameters: Parameters,
+    flow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+) -> Array:
+    """Both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
+    intermediate = engine.intermediate_area.solve(
+        parameters.intermediate_area, IntermediateAreaInputs(flow, area_undeformed), grid, config
+    )
+    start = initial_area(intermediate, flow.shape[1], config)
+    return engine.fourier_area.solve(
+        parameters.fourier_area, FourierAreaInputs(flow, start), grid, config
+    )
+
+
+def predict_by_stages(
+    engine: Engine,
+    parameters: Parameters,
+    inflow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+) -> Solution:
+    """Predict with the engine's stages, one after the other.
+
+    Parameters
+    ----------
+    engine : Engine
+        Computes.
+    parameters : Parameters
+        Of a trained model.
+    inflow : array of shape (case, time)
+        Q_in, mL/s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    grid, config
+        Of the model.
+    """
+    area = undeformed(area_undeformed, inflow.shape[1])
+    for _ in range(config.coupling_passes):
+        flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), grid, config)
+        area = solve_area(engine, parameters, flow, area_undeformed, grid, config)
+    if not parameters.has_pressure:
+        return Solution(flow, area, None)
+    temporal = engine.temporal_pressure.solve(
+        parameters.temporal_pressure,
+        TemporalPressureInputs(flow, area, area_undeformed),
+        grid,
+        config,
+    )
+    relative = engine.spatial_pressure.solve(
+        parameters.spatial_pressure,
+        SpatialPressureInputs(temporal, flow, area_undeformed),
+        grid,
+        config,
+    )
+    return Solution(flow, area, relative * config.physics.reference_pressure)

@@ -1,0 +1,25 @@
+"""How good a model is: cross-validation, sweeps over settings, baselines and benchmarks.
+
+Every function fits or evaluates complete models and returns tables.
+"""
+
+from pcnde_bridge.evaluation.baselines import (
+    ResponseSurface,
+    Solver1D,
+    Unchanged,
+    standard_baselines,
+)
+from pcnde_bridge.evaluation.benchmark import bench_baseline, bench_model
+from pcnde_bridge.evaluation.cross_validation import cross_validate
+from pcnde_bridge.evaluation.sweep import sweep
+
+__all__ = [
+    "ResponseSurface",
+    "Solver1D",
+    "Unchanged",
+    "bench_baseline",
+    "bench_model",
+    "cross_validate",
+    "standard_baselines",
+    "sweep",
+]

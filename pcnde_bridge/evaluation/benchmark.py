@@ -1,0 +1,156 @@
+"""Model and baselines side by side: errors, and the times of fitting and predicting."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import statistics
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pcnde_bridge._utils.files import write_json
+from pcnde_bridge._version import __version__
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.evaluation.baselines import Baseline
+from pcnde_bridge.hemodynamics.synthetic import fewer_words
+from pcnde_bridge.model.metrics import pooled_errors
+from pcnde_bridge.model.pcnde import PCNDE
+
+_REPEATS, _ENOUGH_SECONDS = 5, 1.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method's results.
+
+    Attributes
+    ----------
+    name : str
+        Of the method.
+    errors : dict
+        By set (train, test), then by variable: relative errors, pooled.
+    fit_seconds : float or None
+        Time of fitting; of a model that was loaded, the time its training took.
+    predict_ms_per_case : float or None
+        Time of predicting the test cases (else the training cases) in one call,
+        compiled before, over their number: the median of up to five calls.
+    reason : str or None
+        Why the method could not be applied; then there are no numbers.
+    """
+
+    name: str
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    fit_seconds: float | None = None
+    predict_ms_per_case: float | None = None
+    reason: str | None = None
+
+
+def checkpoint_name(
+    train: Cases, config: PCNDEConfig | ClosureConfig, engine: str, seed: int
+) -> str:
+    """Name the checkpoint of a model by what is trained, so that it is never another run's.
+
+    Parameters
+    ----------
+    train : Cases
+        The training cases.
+    config : PCNDEConfig or ClosureConfig
+        Settings.
+    engine : str
+        As it was asked for: ``auto``, ``julia`` or ``jax``.
+    seed : int
+        Of the fit.
+
+    Returns
+    -------
+    str
+        ``bench-….checkpoint``.
+    """
+    key = json.dumps([train.fingerprint(), config.to_dict(), engine, seed])
+    return f"bench-{hashlib.sha256(key.encode()).hexdigest()[:12]}.checkpoint"
+
+
+def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
+    """Errors and times of a fitted model.
+
+    Parameters
+    ----------
+    model : PCNDE
+        The model.
+    sets : mapping of str to Cases
+        ``train``, and ``test`` if there is one.
+
+    Raises
+    ------
+    InputError
+        If the cases' grid is not the model's.
+    """
+    errors, taken = _measure(lambda cases: model.predict_silently(cases).variables(), sets)
+    seconds = model.provenance.get("seconds")
+    return Row(
+        f"PCNDE ({model.engine.name})", errors, None if seconds is None else float(seconds), taken
+    )
+
+
+def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> Row:
+    """Fit a baseline on the training cases, and measure it.
+
+    A baseline that does not suit the cases gives a row without numbers that holds
+    the reason.
+
+    Parameters
+    ----------
+    name : str
+        For the table.
+    baseline : Baseline
+        Unfitted.
+    sets : mapping of str to Cases
+        ``train``, and ``test`` if there is one.
+    """
+    try:
+        began = time.perf_counter()
+        baseline.fit(sets["train"])
+        fit_seconds = time.perf_counter() - began
+        errors, taken = _measure(baseline.predict, sets)
+    except (InputError, SolveError) as error:
+        return Row(name, reason=str(error))
+    return Row(name, errors, fit_seconds, taken)
+
+
+def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[str, float]], float]:
+    """Pooled errors of every set, and milliseconds per case of the last."""
+    with fewer_words():
+        errors = {name: pooled_errors(predict(cases), cases) for name, cases in sets.items()}
+        cases = list(sets.values())[-1]
+        seconds: list[float] = []
+        while len(seconds) < _REPEATS and sum(seconds) < _ENOUGH_SECONDS:
+            began = time.perf_counter()
+            predict(cases)
+            seconds.append(time.perf_counter() - began)
+    return errors, 1e3 * statistics.median(seconds) / len(cases)
+
+
+def write_rows(path: str | os.PathLike[str], rows: Iterable[Row], **facts: Any) -> None:
+    """Write rows as JSON: ``{…facts, "pcnde_bridge": version, "rows": […]}``.
+
+    Parameters
+    ----------
+    path : path-like
+        File to write, atomically.
+    rows : iterable of Row
+        Each becomes an object with the attributes of :class:`Row`.
+    **facts
+        What else to keep, such as the data's name.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+    """
+    content = {**facts, "pcnde_bridge": __version__, "rows": [asdict(row) for row in rows]}
+    write_json(path, content)

@@ -1,0 +1,115 @@
+"""Sweeps: the same cases fitted with several settings and seeds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from pcnde_bridge._utils.parallel import Workers, run
+from pcnde_bridge._utils.validation import whole_seeds
+from pcnde_bridge.config import (
+    ClosureConfig,
+    PCNDEConfig,
+    resolve_config,
+)
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import check_grid, check_resolution
+from pcnde_bridge.engines import EngineName
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.model.fit_task import (
+    FitTask,
+    common_facts,
+    fit_and_score,
+    same_everywhere,
+    score_table,
+)
+
+
+def sweep(
+    train: Cases,
+    held_out: Cases | None,
+    configs: Mapping[str, PCNDEConfig | ClosureConfig | str],
+    seeds: Sequence[int] = (0,),
+    engine: EngineName | Engine = "auto",
+    *,
+    executor: Workers | None = None,
+    retries: int = 1,
+    folder: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+) -> pd.DataFrame:
+    """Fit every configuration with every seed, and list the errors.
+
+    Parameters
+    ----------
+    train : Cases
+        To be fitted.
+    held_out : Cases or None
+        To be predicted.
+    configs : mapping of str to PCNDEConfig, ClosureConfig or str
+        Settings, or presets' names, by names of your own.
+    seeds : sequence of int
+        Of the fits.
+    engine
+        As of :meth:`pcnde_bridge.PCNDE.fit`.
+    executor, retries, folder, progress
+        As of :func:`pcnde_bridge._utils.parallel.run`.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by ``config`` and ``seed``; columns as of
+        :func:`pcnde_bridge.cross_validate`, without ``cases``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to fit, a seed comes twice, a preset is unknown, or a model
+        of these settings could not predict on the grid of ``held_out``.
+
+    Examples
+    --------
+    >>> from pcnde_bridge import PRESETS, sweep
+    >>> wider = PRESETS["fast"].replace(flow={"hidden": [16, 16]})
+    >>> sweep(train, test, {"fast": "fast", "wider": wider}, seeds=range(3))  # doctest: +SKIP
+    """
+    for name, cases in (("train", train), ("held_out", held_out)):
+        if not isinstance(cases, Cases) and not (name == "held_out" and cases is None):
+            raise InputError(f"sweep needs Cases as {name}, got {type(cases).__name__}.")
+    if not isinstance(configs, Mapping) or not configs:
+        raise InputError(
+            "sweep needs a mapping of names to at least one configuration, such as "
+            "{'fast': 'fast'}."
+        )
+    seeds = whole_seeds(seeds)
+    settings = {name: resolve_config(config) for name, config in configs.items()}
+    if held_out is not None:
+        for config in settings.values():
+            if isinstance(config, ClosureConfig):
+                check_resolution(held_out.n_times, held_out.n_points)
+            else:
+                check_grid(train.grid, held_out.grid, "train")
+    engine = same_everywhere(engine)
+    keys = [(name, seed) for name in settings for seed in seeds]
+    tasks = {
+        f"{name}, seed {seed}": FitTask(train, settings[name], engine, seed, held_out)
+        for name, seed in keys
+    }
+    facts = {
+        "held_out": None if held_out is None else held_out.fingerprint(),
+        "configs": {
+            name: common_facts("sweep", train, settings[name], engine) for name in settings
+        },
+    }
+    outcome = run(
+        fit_and_score,
+        tasks,
+        executor=executor,
+        retries=retries,
+        folder=folder,
+        facts=facts,
+        progress=progress,
+    )
+    return score_table(tasks, outcome, pd.MultiIndex.from_tuples(keys, names=["config", "seed"]))

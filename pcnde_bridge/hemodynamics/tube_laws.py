@@ -1,0 +1,167 @@
+"""Wall laws: pressure p from area S and undeformed area S_u, and back.
+
+The two laws of the paper's section 2.1 (Olufsen 1999; Pfaller et al. 2022):
+
+    linear    p = p₀ + 4/3·(E·h/r₀)·(√(S/S_u) − 1)
+    Olufsen   p = p₀ + 4/3·(k₁·exp(k₂·r₀(z)) + k₃)·(1 − √(S_u/S)),   r₀ = √(S_u/π)
+
+The reference pressure p₀ is the pressure at which the wall is undeformed.  The
+paper prints 100 mmHg (:data:`PAPER_REFERENCE_PRESSURE`); its 3D data have zero.
+
+Only arithmetic operators are used, so that every method takes numpy and JAX
+arrays alike.  Units are CGS: dyn/cm², cm², cm/s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from pcnde_bridge._utils.validation import finite, positive
+from pcnde_bridge.errors import InputError
+
+PAPER_REFERENCE_PRESSURE = 133_322.0
+"""100 mmHg in dyn/cm²."""
+
+_UNITS = {
+    "young_modulus": "dyn/cm²",
+    "thickness": "cm",
+    "radius": "cm",
+    "k1": "g/(s²·cm)",
+    "k2": "1/cm",
+    "k3": "g/(s²·cm)",
+    "reference_pressure": "dyn/cm²",
+}
+
+
+def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
+    """Pulse wave speed c = √(S/ρ · dp/dS), cm/s.
+
+    Parameters
+    ----------
+    area : array, shape (...)
+        S, cm².
+    pressure_slope : array, shape (...)
+        dp/dS, dyn/cm⁴.
+    density : float
+        ρ, g/cm³.
+    """
+    return (area / density * pressure_slope) ** 0.5
+
+
+@dataclass(frozen=True)
+class LinearWall:
+    """Linear wall law; the default is the paper's artery, undeformed at zero pressure.
+
+    Attributes
+    ----------
+    young_modulus, thickness, radius : float
+        E (dyn/cm²), h (cm) and r₀ (cm).
+    reference_pressure : float
+        p₀, at which S = S_u, dyn/cm².
+
+    Raises
+    ------
+    InputError
+        If E, h, r₀ or p₀ is not a finite number, or one of the first three not positive.
+    """
+
+    young_modulus: float = 1.5e7
+    thickness: float = 0.05
+    radius: float = 0.2
+    reference_pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, above_zero=("young_modulus", "thickness", "radius"))
+
+    @property
+    def stiffness(self) -> float:
+        """4/3·E·h/r₀, dyn/cm²."""
+        return 4.0 / 3.0 * self.young_modulus * self.thickness / self.radius
+
+    def pressure(self, area: Any, area_undeformed: Any) -> Any:
+        """Pressure p(S), dyn/cm², from S > 0 and S_u, cm², of shapes that broadcast."""
+        return self.reference_pressure + self.stiffness * ((area / area_undeformed) ** 0.5 - 1.0)
+
+    def area(self, pressure: Any, area_undeformed: Any) -> Any:
+        """Area S(p), cm²; the law ends (S = 0) at p = p₀ − 4/3·E·h/r₀, beyond it S < 0."""
+        strain = (pressure - self.reference_pressure) / self.stiffness
+        return area_undeformed * _signed_square(1.0 + strain)
+
+    def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
+        """Slope dp/dS, dyn/cm⁴."""
+        return 0.5 * self.stiffness / (area * area_undeformed) ** 0.5
+
+    def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
+        """Pulse wave speed √(S/ρ · dp/dS), cm/s."""
+        return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
+
+
+@dataclass(frozen=True)
+class OlufsenWall:
+    """Olufsen's wall law: stiffness falls with radius, and strain stiffens it.
+
+    The default coefficients are those fitted by Olufsen (1999).
+
+    Attributes
+    ----------
+    k1, k2, k3 : float
+        g/(s²·cm), 1/cm and g/(s²·cm).
+    reference_pressure : float
+        p₀, at which S = S_u, dyn/cm².
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, k₁ is negative, k₂ positive, or k₃ not positive.
+    """
+
+    k1: float = 2.0e7
+    k2: float = -22.53
+    k3: float = 8.65e5
+    reference_pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, above_zero=("k3",))
+        if self.k1 < 0.0:
+            raise InputError(f"OlufsenWall.k1 must not be negative, got {self.k1!r}.")
+        if self.k2 > 0.0:
+            raise InputError(
+                f"OlufsenWall.k2 must not be positive, got {self.k2!r}: a wider vessel is softer."
+            )
+
+    def stiffness(self, area_undeformed: Any) -> Any:
+        """4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
+        radius = (area_undeformed / math.pi) ** 0.5
+        return 4.0 / 3.0 * (self.k1 * math.e ** (self.k2 * radius) + self.k3)
+
+    def pressure(self, area: Any, area_undeformed: Any) -> Any:
+        """Pressure p(S), dyn/cm², from S > 0 and S_u, cm², of shapes that broadcast."""
+        strain = 1.0 - (area_undeformed / area) ** 0.5
+        return self.reference_pressure + self.stiffness(area_undeformed) * strain
+
+    def area(self, pressure: Any, area_undeformed: Any) -> Any:
+        """Area S(p), cm²; the law ends (S = ∞) at p = p₀ + 4/3·(k₁·exp(k₂·r₀) + k₃), then S < 0."""
+        strain = (pressure - self.reference_pressure) / self.stiffness(area_undeformed)
+        return area_undeformed / _signed_square(1.0 - strain)
+
+    def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
+        """Slope dp/dS, dyn/cm⁴."""
+        return 0.5 * self.stiffness(area_undeformed) * (area_undeformed / area) ** 0.5 / area
+
+    def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
+        """Pulse wave speed √(S/ρ · dp/dS), cm/s."""
+        return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
+
+
+def _signed_square(root: Any) -> Any:
+    """Square that keeps the sign, so that no pressure beyond a law's end passes for one within."""
+    return root * abs(root)
+
+
+def _check(wall: LinearWall | OlufsenWall, above_zero: tuple[str, ...]) -> None:
+    for name, value in list(vars(wall).items()):
+        check = positive if name in above_zero else finite
+        number = check(f"{type(wall).__name__}.{name}", value, _UNITS[name])
+        object.__setattr__(wall, name, number)

@@ -1,0 +1,276 @@
+"""Inlet flow waveforms, and the family that one waveform spans.
+
+A waveform is a truncated Fourier series of period T (the paper's section 2.5),
+
+    Q_in(t) = A₀ + Σₙ (Aₙ·cos(2πnt/T) + Bₙ·sin(2πnt/T)),   n = 1 … N.
+
+The paper makes further waveforms with a factor c, printed before Aₙ alone; its
+published data scale Aₙ and Bₙ together.  Both forms are here, see
+:meth:`Waveform.scaled`.  Units are CGS: mL/s, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import (
+    finite,
+    positive,
+    whole,
+)
+from pcnde_bridge.data.checks import real_array
+from pcnde_bridge.errors import InputError
+
+Form = Literal["oscillation", "printed"]
+
+DATA_FACTORS = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.375, 1.5, 1.75)
+"""Factors of the oscillation measured on the paper's data, waveforms 0 … 9."""
+
+# Our own drawing of a left coronary waveform, mL/s at 20 instants of a cycle of
+# 1 s from the onset of systole: low while the heart muscle squeezes the vessels
+# (first row), highest early in diastole (second row).  Nine harmonics, like the
+# paper's data.
+# fmt: off
+_CORONARY = (
+    0.95, 0.80, 0.72, 0.85, 1.02, 1.05, 0.98, 1.05, 1.42, 1.78,
+    1.90, 1.86, 1.76, 1.66, 1.56, 1.46, 1.36, 1.26, 1.16, 1.06,
+)
+# fmt: on
+_CORONARY_TERMS = 9
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """Periodic flow at the inlet, as Fourier coefficients.
+
+    Attributes
+    ----------
+    mean : float
+        A₀, mL/s.
+    cosine, sine : tuple of float
+        A₁ … A_N and B₁ … B_N, mL/s; of equal length, which may be 0 (steady flow).
+    period : float
+        T, s.
+
+    Raises
+    ------
+    InputError
+        If a coefficient is not a finite number, the lengths differ, or the period is
+        not positive.
+
+    Examples
+    --------
+    >>> from pcnde_bridge.hemodynamics.waveform import Waveform
+    >>> steady = Waveform(mean=1.5)
+    >>> float(steady.flow(0.25))
+    1.5
+    """
+
+    mean: float
+    cosine: tuple[float, ...] = ()
+    sine: tuple[float, ...] = ()
+    period: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", finite("Waveform.mean", self.mean, "mL/s"))
+        object.__setattr__(self, "period", positive("Waveform.period", self.period, "s"))
+        for name in ("cosine", "sine"):
+            values = _finite(f"Waveform.{name}", getattr(self, name))
+            object.__setattr__(self, name, tuple(values.tolist()))
+        if len(self.cosine) != len(self.sine):
+            raise InputError(
+                f"Waveform.cosine has {len(self.cosine)} terms and sine {len(self.sine)}; "
+                "give both the same number."
+            )
+
+    @property
+    def n_terms(self) -> int:
+        """N, number of harmonics."""
+        return len(self.cosine)
+
+    def flow(self, time: npt.ArrayLike) -> Array:
+        """Flow Q_in(t), mL/s.
+
+        Parameters
+        ----------
+        time : array_like of float, shape (...)
+            s; periodic, so any value will do.
+        """
+        time = np.asarray(time, dtype=np.float64)
+        angle = 2.0 * np.pi / self.period * time[..., None] * np.arange(1, self.n_terms + 1)
+        flow: Array = self.mean + np.cos(angle) @ self._cosine + np.sin(angle) @ self._sine
+        return flow
+
+    @property
+    def _cosine(self) -> Array:
+        return np.array(self.cosine)
+
+    @property
+    def _sine(self) -> Array:
+        return np.array(self.sine)
+
+    def samples(self, n_times: int = 100) -> Array:
+        """Flow at n_times equal steps of one cycle from t = 0, mL/s, shape (n_times,)."""
+        n_times = whole("n_times", n_times, 1)
+        return self.flow(np.arange(n_times) * (self.period / n_times))
+
+    def scaled(self, factor: float, form: Form = "oscillation") -> Waveform:
+        """Member of the waveform's family for the factor c; the mean is kept.
+
+        Parameters
+        ----------
+        factor : float
+            c; 1 gives the waveform itself.
+        form : {'oscillation', 'printed'}
+            ``'oscillation'`` multiplies Aₙ and Bₙ, as in the paper's published
+            data, so that 0 is steady flow and −1 the mirror image.  ``'printed'``
+            multiplies Aₙ alone, as in the paper's equation.
+
+        Raises
+        ------
+        InputError
+            If the factor is not finite or the form unknown.
+        """
+        factor = finite("The waveform's factor", factor)
+        if form not in ("oscillation", "printed"):
+            raise InputError(f"form must be 'oscillation' or 'printed', got {form!r}.")
+        sine = self._sine if form == "printed" else factor * self._sine
+        return Waveform(self.mean, tuple(factor * self._cosine), tuple(sine), self.period)
+
+    def family(
+        self, factors: Sequence[float] = DATA_FACTORS, form: Form = "oscillation"
+    ) -> tuple[Waveform, ...]:
+        """One waveform per factor, see :meth:`scaled`; the default is the data's family."""
+        return tuple(self.scaled(factor, form) for factor in factors)
+
+    @classmethod
+    def from_samples(
+        cls,
+        flow: npt.ArrayLike,
+        time: npt.ArrayLike | None = None,
+        period: float = 1.0,
+        n_terms: int | None = 60,
+    ) -> Waveform:
+        """Fourier series of a measured waveform.
+
+        Parameters
+        ----------
+        flow : array_like of float, shape (n,)
+            One cycle, mL/s, at least 3 samples.
+        time : array_like of float, shape (n,), optional
+            Instants, s, strictly increasing, covering at most one period; the end
+            of the cycle may be repeated.  Equal steps of period / n by default.
+            Between samples in unequal steps the flow is linear, and the series is
+            that of these lines.
+        period : float
+            T, s.
+        n_terms : int or None
+            Largest number of harmonics; 60 is the paper's.  Samples in equal steps
+            hold no more than n/2; with None all of them are taken, and the series
+            passes through every sample.  Lines have harmonics without end; with None
+            as many are taken as the shortest step fits into the period, at most 1000.
+
+        Raises
+        ------
+        InputError
+            If a value is not a finite number, shapes differ, or the instants do not
+            increase or do not fit into the period.
+        """
+        samples = _finite("flow", flow)
+        period = positive("period", period, "s")
+        n_terms = None if n_terms is None else whole("n_terms", n_terms)
+        first, steps = 0.0, None
+        if time is not None:
+            samples, first, steps = _one_cycle(_finite("time", time), samples, period)
+        if len(samples) < 3:
+            raise InputError(f"A waveform needs at least 3 samples, got {len(samples)}.")
+        if steps is None:
+            spectrum = _spectrum_of_equal_steps(samples)
+            spectrum = spectrum[: None if n_terms is None else n_terms + 1]
+        else:
+            if n_terms is None:
+                n_terms = min(math.ceil(period / steps.min()), 1000)
+            spectrum = _spectrum_of_lines(samples, steps, n_terms)
+        # The series counts time from 0, the samples from the first of them.
+        spectrum *= np.exp(-2j * np.pi * np.arange(len(spectrum)) * (first / period))
+        return cls(
+            float(spectrum[0].real),
+            tuple(spectrum[1:].real.tolist()),
+            tuple((-spectrum[1:].imag).tolist()),
+            period,
+        )
+
+
+def coronary(period: float = 1.0) -> Waveform:
+    """Left coronary waveform, drawn for this package: mean 1.28 mL/s, peak in diastole.
+
+    Parameters
+    ----------
+    period : float
+        T, s.
+    """
+    return Waveform.from_samples(_CORONARY, period=period, n_terms=_CORONARY_TERMS)
+
+
+def _finite(name: str, values: npt.ArrayLike) -> Array:
+    array = real_array(name, values)
+    if array.ndim != 1:
+        raise InputError(f"{name} must have one dimension, got shape {array.shape}.")
+    bad = np.flatnonzero(~np.isfinite(array))
+    if len(bad):
+        raise InputError(f"{name}[{bad[0]}] is {array[bad[0]]}; all values must be finite.")
+    return array
+
+
+def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, Array | None]:
+    """Flow without a repeated end, the first instant, and the steps unless they are equal."""
+    if time.shape != flow.shape:
+        raise InputError(f"time has {len(time)} values and flow {len(flow)}; give as many of both.")
+    if len(time) < 3:
+        raise InputError(f"A waveform needs at least 3 samples, got {len(time)}.")
+    steps = np.diff(time)
+    if (steps <= 0.0).any():
+        i = int(np.argmax(steps <= 0.0)) + 1
+        raise InputError(f"time[{i}] = {time[i]:g} s is not later than the instant before it.")
+    span = time[-1] - time[0]
+    if span > period * (1.0 + 1e-9):
+        raise InputError(
+            f"The samples span {span:g} s, longer than the period of {period:g} s; "
+            "give one cycle, or its right period."
+        )
+    if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
+        time, flow = time[:-1], flow[:-1]
+    first = float(time[0])
+    if np.allclose(np.diff(time), period / len(time), rtol=1e-6, atol=0.0):
+        return flow, first, None
+    return flow, first, np.diff(time, append=first + period)
+
+
+def _spectrum_of_equal_steps(flow: Array) -> npt.NDArray[np.complex128]:
+    """Aₙ − i·Bₙ, n = 0 … n/2, of the series through samples in equal steps from t = 0."""
+    spectrum = np.fft.rfft(flow) / len(flow)
+    spectrum[1:] *= 2.0
+    if len(flow) % 2 == 0:
+        spectrum[-1] /= 2.0  # the highest harmonic of an even number stands alone
+    return spectrum
+
+
+def _spectrum_of_lines(flow: Array, steps: Array, n_terms: int) -> npt.NDArray[np.complex128]:
+    """Aₙ − i·Bₙ, n = 0 … n_terms, of the lines that join samples in these steps from t = 0.
+
+    By parts, the integral of a line's rise over one step is that of a box.
+    """
+    period = steps.sum()
+    rise = np.roll(flow, -1) - flow
+    middle = (np.cumsum(steps) - steps / 2) / period
+    n = np.arange(1, n_terms + 1)[:, None]
+    boxes = np.sinc(n * steps / period) * np.exp(-2j * np.pi * n * middle)
+    mean = (flow + rise / 2) @ steps / period
+    return np.append(mean, boxes @ rise / (1j * np.pi * n[:, 0]))

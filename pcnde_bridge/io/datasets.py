@@ -1,0 +1,209 @@
+"""Finding and downloading data sets, by name or by path."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from importlib import resources
+from pathlib import Path
+
+from pcnde_bridge._utils.cache import cache_folder
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.published import read_authors_folder
+from pcnde_bridge.errors import DataNotFoundError, FileError
+
+#: The authors' public repository and the commit that the checksums belong to.
+PUBLISHED_REPOSITORY = "https://github.com/amir-cardiolab/PCNDE"
+PUBLISHED_COMMIT = "6ec3ff924ff531207a54d4e54529760f36769616"
+PUBLISHED_URL = f"https://raw.githubusercontent.com/amir-cardiolab/PCNDE/{PUBLISHED_COMMIT}/"
+
+_FOLDER = f"csala2024-{PUBLISHED_COMMIT[:7]}"
+
+
+def find_published() -> Path | None:
+    """Look for the published data set on this machine.
+
+    Looks at the folder named by the environment variable ``PCNDE_DATA``, then for a copy
+    that several checkouts share, beside them: ``../shared/csala2024`` relative to the
+    working directory and to the root of the repository; then at the download cache (whole
+    downloads only).
+
+    Returns
+    -------
+    pathlib.Path or None
+        The folder that holds ``data_3D``, or None when there is none.
+
+    Raises
+    ------
+    DataNotFoundError
+        When ``PCNDE_DATA`` is set but does not name such a folder.
+    """
+    named = os.environ.get("PCNDE_DATA")
+    if named:
+        folder = Path(named).expanduser()
+        if not (folder / "data_3D").is_dir():
+            why = "does not exist" if not folder.is_dir() else "holds no folder data_3D"
+            raise DataNotFoundError(
+                f"PCNDE_DATA is {named!r}, which {why}; set it to the folder that holds data_3D, "
+                "or unset it to have the data set looked for elsewhere"
+            )
+        return folder.resolve()
+    for start in (Path.cwd(), Path(__file__).resolve().parents[2]):
+        folder = start.parent / "shared" / "csala2024"
+        if (folder / "data_3D").is_dir():
+            return folder
+    cached = cache_folder(None) / _FOLDER
+    # A file gets its name only when its checksum is right, so its being there is enough.
+    return cached if all((cached / name).is_file() for name in _checksums()) else None
+
+
+def download_published(
+    cache: str | os.PathLike[str] | None = None,
+    progress: bool = True,
+    *,
+    base_url: str = PUBLISHED_URL,
+    retries: int = 3,
+) -> Path:
+    """Download the published data set and trained weights (about 49 MB, 105 files).
+
+    Every file is checked against its known checksum. Files that are already in
+    the cache are not downloaded again, so an interrupted download goes on where
+    it stopped.
+
+    Parameters
+    ----------
+    cache : str or path-like, optional
+        Where to put the files. By default the folder named by the environment
+        variable ``PCNDE_CACHE``, or else the user's cache folder.
+    progress : bool, default True
+        Show a progress bar on standard error.
+    base_url : str, optional
+        Address of the files, for a mirror of the authors' repository.
+    retries : int, default 3
+        How often to try a file again.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder that holds ``data_3D`` and ``trained_weights``.
+
+    Raises
+    ------
+    DataNotFoundError
+        When a file cannot be downloaded or is not the published one.
+    FileError
+        When the cache cannot be written to.
+    """
+    import pooch
+    import requests
+    from rich.console import Console
+    from rich.progress import track
+
+    folder = cache_folder(cache) / _FOLDER
+    checksums = _checksums()
+    base = base_url.rstrip("/") + "/"
+    urls = {name: base + _remote(name) for name in checksums}
+    fetcher = pooch.create(
+        path=folder, base_url=base, registry=checksums, urls=urls, retry_if_failed=retries
+    )
+    logger = pooch.get_logger()
+    level = logger.level
+    logger.setLevel("ERROR")  # else it prints a line for every file
+    try:
+        for name in track(
+            checksums, "Downloading", console=Console(stderr=True), disable=not progress
+        ):
+            try:
+                fetcher.fetch(name)
+            except requests.exceptions.RequestException as error:
+                raise _not_downloaded(name, urls[name], folder, str(error)) from error
+            except ValueError as error:
+                why = "it is not the published file: its checksum differs"
+                raise _not_downloaded(name, urls[name], folder, why) from error
+            except OSError as error:
+                raise FileError(
+                    f"cannot write to the cache {str(folder)!r}: {error}; free space there or set "
+                    "PCNDE_CACHE to another folder"
+                ) from error
+    finally:
+        logger.setLevel(level)
+    return folder
+
+
+def load_cases(data: str | os.PathLike[str] | Cases) -> Cases:
+    """Load a data set from wherever it is.
+
+    Parameters
+    ----------
+    data : str, path-like or Cases
+        The name of a data set (``"published"``: the one of the paper, found on
+        this machine or else downloaded; ``"synthetic"``: our own, computed once,
+        see :func:`pcnde_bridge.hemodynamics.synthetic.synthetic`); a folder in the published
+        layout; a file that :meth:`Cases.save` wrote; or a data set, returned as
+        it is.
+        A name wins over a file: write ``"./published"`` for a folder so named.
+
+    Returns
+    -------
+    Cases
+        The data set.
+
+    Raises
+    ------
+    DataNotFoundError
+        When there is neither such a name nor such a path, or the published data
+        set can be neither found nor downloaded.
+    FileError
+        When the files there are not usable.
+    """
+    if isinstance(data, Cases):
+        return data
+    if isinstance(data, str) and data in DATASETS:
+        return DATASETS[data]()
+    path = Path(data)
+    if path.is_dir():
+        return read_authors_folder(path)
+    if path.is_file():
+        return Cases.load(path)
+    known = ", ".join(repr(name) for name in DATASETS)
+    raise DataNotFoundError(
+        f"{str(data)!r} is neither a file or folder nor the name of a data set; the names are: "
+        f"{known}"
+    )
+
+
+def _load_published() -> Cases:
+    return read_authors_folder(find_published() or download_published())
+
+
+def _compute_synthetic() -> Cases:
+    from pcnde_bridge.hemodynamics.synthetic import synthetic
+
+    return synthetic()
+
+
+#: The data sets that :func:`load_cases` knows by name, and how to get each.
+DATASETS: dict[str, Callable[[], Cases]] = {
+    "published": _load_published,
+    "synthetic": _compute_synthetic,
+}
+
+
+def _checksums() -> Mapping[str, str]:
+    """Return the SHA-256 checksum of each published file, by its name in the cache."""
+    text = resources.files("pcnde_bridge.io").joinpath("published_registry.txt").read_text("utf-8")
+    return dict(line.split() for line in text.splitlines() if not line.startswith("#"))
+
+
+def _remote(name: str) -> str:
+    """Return the path that a file has in the authors' repository."""
+    return f"data/{name}" if name.startswith("data_3D/") else name
+
+
+def _not_downloaded(name: str, url: str, folder: Path, why: str) -> DataNotFoundError:
+    return DataNotFoundError(
+        f"{name} could not be downloaded from {url}: {why}. What has arrived stays in "
+        f"{str(folder)!r}; call again to go on. To get the data by hand, download "
+        f"{PUBLISHED_REPOSITORY} (commit {PUBLISHED_COMMIT[:7]}) on a machine with a connection "
+        "and set PCNDE_DATA to its folder 'data', which holds data_3D"
+    )

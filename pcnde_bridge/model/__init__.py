@@ -1,0 +1,20 @@
+"""The objects that users hold: ``PCNDE``, ``Ensemble`` and ``Prediction``.
+
+They combine training, engines and uncertainty, and are saved to files.
+"""
+
+from pcnde_bridge.model.ensemble import Ensemble, load_model
+from pcnde_bridge.model.metrics import coverage, error_table, pooled_errors, relative_error
+from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
+
+__all__ = [
+    "PCNDE",
+    "Ensemble",
+    "Prediction",
+    "coverage",
+    "error_table",
+    "load_model",
+    "pooled_errors",
+    "relative_error",
+]

@@ -1,0 +1,178 @@
+"""What a model, an ensemble, a checkpoint or a data set is, without starting an engine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.archive import archive_kind, read_archive
+from pcnde_bridge._utils.validation import listed
+from pcnde_bridge.config import (
+    PRESETS,
+    ClosureConfig,
+    PCNDEConfig,
+    config_from,
+)
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.errors import FileError, PCNDEError
+from pcnde_bridge.model import ensemble
+from pcnde_bridge.model import pcnde as model
+from pcnde_bridge.training import closure_trainer as closures_training
+from pcnde_bridge.training import trainer as training
+
+_FORMATS: dict[str, tuple[int, str]] = {
+    module.FORMAT: (module.FORMAT_VERSION, what)
+    for module, what in (
+        (model, "model"),
+        (ensemble, "ensemble"),
+        (training, "checkpoint"),
+        (closures_training, "checkpoint"),
+    )
+}
+
+
+def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what is needed to run a fit again.
+
+    Parameters
+    ----------
+    path : path-like
+        File of a model, an ensemble, a checkpoint or a data set.
+
+    Returns
+    -------
+    dict
+        Whatever JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
+        ``config``, all settings; ``provenance``; and, by kind, ``grid``, ``members``,
+        ``uncertainty``, ``finished`` and ``units`` (of work).  Of a data set: ``kind``,
+        ``grid``, ``cases``, ``fingerprint`` and ``labels``.
+
+    Raises
+    ------
+    FileError
+        If the file is none of these, or damaged.
+    """
+    kind = archive_kind(path)
+    if kind not in _FORMATS:
+        with contextlib.suppress(PCNDEError):
+            return _data_set(Cases.load(path))
+        # Says whether it is missing, damaged or something else.
+        read_archive(path, model.FORMAT, model.FORMAT_VERSION, "model")
+        raise FileError(f"{path} is not a file of pcnde_bridge.")
+    version, what = _FORMATS[kind]
+    facts, arrays = read_archive(path, kind, version, what)
+    found: dict[str, Any] = {"kind": what}
+    try:
+        first, prefix = facts, ""
+        if kind == ensemble.FORMAT:
+            first, prefix = facts["members"][0], "member_0_"
+            found["members"] = len(facts["members"])
+            found["uncertainty"] = "calibrated spread of the members"
+        config = config_from(first["config"])
+        preset, changes = nearest_preset(config)
+        found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
+        found["provenance"] = dict(facts.get("provenance", {}))
+        if found["kind"] == "checkpoint":
+            vectors = len(facts.get("vectors", ()))
+            found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
+        else:
+            names = "time", "z", "period"
+            found["grid"] = _grid(*(arrays[f"{prefix}{name}"] for name in names))
+        if "uncertainty_members" in arrays:
+            found["uncertainty"] = "fits that left out parts of the training cases"
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise FileError(f"{path} is not a whole {found['kind']}: {error}.") from error
+    return found
+
+
+def _grid(time: Array, z: Array, period: Array | float) -> dict[str, Any]:
+    ends = [float(z[0]), float(z[-1])]
+    return {"instants": time.size, "period": float(period), "points": z.size, "z": ends}
+
+
+def _data_set(cases: Cases) -> dict[str, Any]:
+    return {
+        "kind": "data set",
+        "grid": _grid(cases.time, cases.z, cases.period),
+        "cases": len(cases),
+        "fingerprint": cases.fingerprint(),
+        "labels": {
+            str(name): column.drop_duplicates().tolist() for name, column in cases.labels.items()
+        },
+    }
+
+
+def nearest_preset(config: PCNDEConfig | ClosureConfig) -> tuple[str, dict[str, Any]]:
+    """Return the preset with the fewest settings that differ, and these settings.
+
+    Examples
+    --------
+    >>> from pcnde_bridge.config import FAST
+    >>> from pcnde_bridge.model.describe import nearest_preset
+    >>> nearest_preset(FAST.replace(flow={"steps": 24}))
+    ('fast', {'flow.steps': 24})
+    """
+    mine = _flat(config.to_dict())
+    differences = {
+        name: {key: value for key, value in mine.items() if theirs[key] != value}
+        for name, preset in PRESETS.items()
+        if type(preset) is type(config)
+        for theirs in [_flat(preset.to_dict())]
+    }
+    name = min(differences, key=lambda name: len(differences[name]))
+    return name, differences[name]
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what :func:`describe` found as lines of a table for people."""
+    rows = [("kind", found["kind"])]
+    if "preset" in found:
+        changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
+        rows.append(("preset", found["preset"] + (f", but {changes}" if changes else "")))
+    if "units" in found:
+        rows.append(("finished", f"{found['finished']} of {found['units']} units of work"))
+    if "members" in found:
+        rows.append(("members", str(found["members"])))
+    if "grid" in found:
+        grid = found["grid"]
+        text = f"{grid['instants']} instants of {grid['period']:g} s, {grid['points']} points"
+        rows.append(("grid", f"{text}, z = {grid['z'][0]:g} … {grid['z'][1]:g} cm"))
+    if "labels" in found:
+        rows.append(("cases", f"{found['cases']}, fingerprint {found['fingerprint'][:16]}…"))
+        for name, values in found["labels"].items():
+            rows.append((name, listed(values)))
+        return rows
+    facts = found["provenance"]
+    rows.append(("uncertainty", found.get("uncertainty", "none")))
+    if "cases" in facts:
+        rows.append(("cases", f"{facts['cases']}, fingerprint {facts['cases_fingerprint'][:16]}…"))
+    if "cases_labels" in facts:
+        by_geometry: dict[int, list[int]] = {}
+        for geometry, waveform in facts["cases_labels"]:
+            by_geometry.setdefault(geometry, []).append(waveform)
+        text = "\n".join(
+            f"geometry {geometry}: waveforms {', '.join(map(str, waveforms))}"
+            for geometry, waveforms in by_geometry.items()
+        )
+        rows.append(("", text))
+    for name in ("seed", "engine", "trained", "seconds", "platform", "command", "source"):
+        if facts.get(name) is not None:
+            value = facts[name]
+            rows.append((name, f"{value:.1f}" if isinstance(value, float) else str(value)))
+    if "versions" in facts:
+        text = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
+        rows.append(("versions", text))
+    return rows

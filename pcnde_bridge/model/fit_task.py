@@ -1,0 +1,130 @@
+"""One fit as a task of many: what ensembles, cross-validation and sweeps are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import pandas as pd
+
+from pcnde_bridge._utils.parallel import Outcome
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.model.metrics import pooled
+from pcnde_bridge.model.pcnde import PCNDE
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """A fit, and where its errors are wanted.
+
+    Attributes
+    ----------
+    train : Cases
+        To be fitted.
+    config : PCNDEConfig or ClosureConfig
+        Settings.
+    engine : {'auto', 'julia', 'jax'} or Engine
+        Who computes.
+    seed : int
+        Of the fit.
+    held_out : Cases or None
+        For :func:`fit_and_score`.
+    """
+
+    train: Cases
+    config: PCNDEConfig | ClosureConfig
+    engine: EngineName | Engine
+    seed: int
+    held_out: Cases | None = None
+
+    def fit(self) -> PCNDE:
+        """Fit the model."""
+        return PCNDE.fit(self.train, self.config, self.engine, self.seed, progress=False)
+
+
+def fit_model(task: FitTask) -> dict[str, Any]:
+    """Fit, and return the model as :func:`model_of` takes it."""
+    facts, arrays = task.fit().to_archive()
+    return {"facts": facts, **arrays}
+
+
+def model_of(result: dict[str, Any], engine: EngineName | Engine) -> PCNDE:
+    """Model of what :func:`fit_model` returned."""
+    arrays = {name: value for name, value in result.items() if name != "facts"}
+    return PCNDE.from_archive(result["facts"], arrays, engine)
+
+
+def fit_and_score(task: FitTask) -> dict[str, float]:
+    """Fit, and return relative errors and seconds.
+
+    Returns
+    -------
+    dict
+        ``flow``, ``area`` and ``pressure`` on the cases held out, ``train_flow`` and so
+        on, and ``seconds``.
+    """
+    model = task.fit()
+    scores: dict[str, float] = {}
+    for prefix, cases in (("", task.held_out), ("train_", task.train)):
+        if cases is not None:
+            errors = pooled(model.evaluate(cases))
+            scores |= {f"{prefix}{name}": error for name, error in errors.items()}
+    return {**scores, "seconds": float(model.provenance["seconds"])}
+
+
+def score_table(
+    tasks: Mapping[str, FitTask], outcome: Outcome, index: pd.MultiIndex
+) -> pd.DataFrame:
+    """List what came of :func:`fit_and_score`, in columns that are there whatever failed.
+
+    Parameters
+    ----------
+    tasks : mapping of str to FitTask
+        All of them, one or more.
+    outcome : Outcome
+        What came of them.
+    index : MultiIndex
+        Of the rows, one for each task in their order.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``flow``, ``area`` and ``pressure`` where cases were held out, ``train_flow``
+        and so on, ``seconds``, and ``failure``, why there are no numbers, else None.
+    """
+    held_out = any(task.held_out is not None for task in tasks.values())
+    prefixes = ("", "train_") if held_out else ("train_",)
+    numbers = [f"{prefix}{name}" for prefix in prefixes for name in VARIABLES] + ["seconds"]
+    rows = [outcome.results.get(name, {}) for name in tasks]
+    table = pd.DataFrame(rows, index=index, columns=numbers, dtype=float)
+    table["failure"] = pd.Series(list(map(outcome.failures.get, tasks)), index, dtype=object)
+    return table
+
+
+def common_facts(
+    study: str, cases: Cases, config: PCNDEConfig | ClosureConfig, engine: EngineName | Engine
+) -> dict[str, Any]:
+    """Return the facts that identify a study, for :func:`pcnde_bridge._utils.parallel.run`."""
+    return {
+        "study": study,
+        "cases": cases.fingerprint(),
+        "config": config.to_dict(),
+        "engine": engine if isinstance(engine, str) else engine.name,
+    }
+
+
+def same_everywhere(engine: EngineName | Engine) -> EngineName | Engine:
+    """Replace ``auto`` by the engine that it means here, so that no worker takes another.
+
+    Raises
+    ------
+    EngineUnavailableError
+        If the engine cannot be used here.
+    """
+    found = select_engine(engine)
+    return cast(EngineName, found.name) if isinstance(engine, str) else engine

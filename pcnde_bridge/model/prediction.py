@@ -1,0 +1,225 @@
+"""What a model predicts: arrays, and the same as a tidy frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+from pathlib import Path
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.optional import require
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import UNITS
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.io import predictions
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Flow, area and pressure over a cycle along the vessel.
+
+    Attributes
+    ----------
+    flow : array of shape (case, time, z)
+        Q, mL/s.
+    area : array of shape (case, time, z)
+        S, cm².
+    pressure : array of shape (case, time, z) or None
+        p, dyn/cm²; None from a model without pressure stages.
+    area_undeformed : array of shape (case, z)
+        S_u, cm², as given.
+    time, z : array
+        s and cm.
+    period : float
+        s.
+    labels : DataFrame
+        One row for each case.
+    novelty : array of shape (case,) or None
+        How far the inputs lie from the training data; 1 is its edge.
+    samples : mapping of str to array of shape (sample, case, time, z), or None
+        Draws of flow, area and pressure, if they were asked for.
+    """
+
+    flow: Array
+    area: Array
+    pressure: Array | None
+    area_undeformed: Array
+    time: Array
+    z: Array
+    period: float
+    labels: pd.DataFrame = field(repr=False)
+    novelty: Array | None = field(default=None, repr=False)
+    samples: Mapping[str, Array] | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.flow)
+
+    def variables(self) -> dict[str, Array]:
+        """Return the predicted variables by name, without those that are missing."""
+        found = {"flow": self.flow, "area": self.area, "pressure": self.pressure}
+        return {name: values for name, values in found.items() if values is not None}
+
+    def deviation(self) -> dict[str, Array]:
+        """Return the standard deviation of each variable's draws, (case, time, z).
+
+        That of a sample, with one draw less in the denominator; of few draws it is uncertain.
+
+        Raises
+        ------
+        InputError
+            If the prediction was made without samples.
+        """
+        return {name: drawn.std(axis=0, ddof=1) for name, drawn in self._drawn().items()}
+
+    def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
+        """Return the lower and upper limit of each variable, (case, time, z).
+
+        The limits are the prediction, less and plus the deviation times the normal
+        quantile: calibrated at 90 % on training cases that were left out.
+
+        Parameters
+        ----------
+        level : float
+            Share of values that should lie inside.
+
+        Raises
+        ------
+        InputError
+            If the level is not between 0 and 1, or there are no samples.
+        """
+        if not isinstance(level, Real) or not 0 < level < 1:
+            raise InputError(f"level must lie between 0 and 1, got {level!r}.")
+        factor = NormalDist().inv_cdf((1 + level) / 2)
+        width = {name: factor * deviation for name, deviation in self.deviation().items()}
+        return {
+            name: (values - width[name], values + width[name])
+            for name, values in self.variables().items()
+        }
+
+    def _drawn(self) -> Mapping[str, Array]:
+        if self.samples is None:
+            raise InputError(
+                "The prediction has no samples: ask for some, predict(..., samples=64)."
+            )
+        return self.samples
+
+    def to_frame(self) -> pd.DataFrame:
+        """Tidy frame: one row for each case, instant and point.
+
+        Returns
+        -------
+        DataFrame
+            Columns of the labels, then ``time`` (s), ``z`` (cm), ``flow`` (mL/s),
+            ``area`` (cm²), ``pressure`` (dyn/cm², if predicted) and
+            ``area_undeformed`` (cm²); of a prediction with samples, also
+            ``flow_deviation`` and so on, in the same units.
+        """
+        n_cases, n_times, n_points = self.flow.shape
+        rows = np.repeat(np.arange(n_cases), n_times * n_points)
+        frame = self.labels.iloc[rows].reset_index(drop=True)
+        frame["time"] = np.tile(np.repeat(self.time, n_points), n_cases)
+        frame["z"] = np.tile(self.z, n_cases * n_times)
+        for name, values in self.variables().items():
+            frame[name] = values.ravel()
+        if self.samples is not None:
+            for name, values in self.deviation().items():
+                frame[f"{name}_deviation"] = values.ravel()
+        frame["area_undeformed"] = np.repeat(self.area_undeformed, n_times, axis=0).ravel()
+        return frame
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the prediction as an xarray data set with names, units and labels.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``flow``, ``area`` and ``pressure`` with the dimensions (case, time, z),
+            ``area_undeformed`` (case, z), ``novelty`` (case) and, of a prediction with
+            samples, ``flow_samples`` and so on (sample, case, time, z); the labels are
+            coordinates of ``case``, units stand in the attributes.
+
+        Raises
+        ------
+        MissingExtraError
+            If xarray is not installed (extra ``xarray``).
+        """
+        dataset = require("xarray", "xarray").Dataset
+        axes = ("case", "time", "z")
+        found: dict[str, tuple[tuple[str, ...], Array, dict[str, str]]] = {
+            name: (axes, values, {"units": UNITS[name]})
+            for name, values in self.variables().items()
+        }
+        found["area_undeformed"] = (("case", "z"), self.area_undeformed, {"units": UNITS["area"]})
+        if self.novelty is not None:
+            found["novelty"] = (("case",), self.novelty, {})
+        for name, values in (self.samples or {}).items():
+            found[f"{name}_samples"] = (("sample", *axes), values, {"units": UNITS[name]})
+        labels = {name: ("case", column.to_numpy()) for name, column in self.labels.items()}
+        coordinates = {
+            name: (name, getattr(self, name), {"units": UNITS[name]}) for name in axes[1:]
+        }
+        made: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
+        return made
+
+    def save(self, path: str | os.PathLike[str]) -> list[Path]:
+        """Write the prediction to a file, in the format that its ending says.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.csv`` (also ``.csv.gz``): the frame; ``.npz`` or ``.h5``: a data set;
+            ``.vtp``: a centreline with arrays for each time step, for many cases one
+            file each; ``.pvd``: the same for ParaView, as an animation.
+
+        Returns
+        -------
+        list of Path
+            The files.
+
+        Raises
+        ------
+        FileError
+            If the ending is another one or the file cannot be written.
+        InputError
+            If a data set is asked for of a prediction without pressure.
+        MissingExtraError
+            If VTK is needed and not installed (extra ``vtk``).
+        """
+        return predictions.save(self, path)
+
+    def to_cases(self) -> Cases:
+        """Return the prediction as a data set.
+
+        Of arrays, each case is a geometry of its own, under waveform 0.
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a predicted area is not positive.
+        """
+        if self.pressure is None:
+            raise InputError("The model has no pressure stages, so this is not a whole data set.")
+        labels = self.labels
+        if "geometry" not in labels:
+            # What batches number throughout stays apart when their files are joined.
+            labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
+        return Cases(
+            self.flow,
+            self.area,
+            self.pressure,
+            self.area_undeformed,
+            self.time,
+            self.z,
+            period=self.period,
+            labels=labels,
+        )

@@ -1,0 +1,70 @@
+"""Reader of the authors' published weights (``trained_weights/*.jld2``, HDF5 inside)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.hdf5 import read_dataset
+from pcnde_bridge.config import PUBLISHED_CODE
+from pcnde_bridge.data.published import SHAPE
+from pcnde_bridge.engines.parameters import Parameters, sizes
+from pcnde_bridge.errors import DataNotFoundError, FileError
+
+FILES = {
+    "flow": "ptrained_BFGS_Q.jld2",
+    "intermediate_area": "ptrained_BFGS_S.jld2",
+    "fourier_area": "pFourier_trained.jld2",
+}
+"""The files that belong to a stage.
+
+The two pressure files are left out: the second holds 300 numbers where the
+paper's equation has 202, and they do not give the paper's pressure errors.
+"""
+
+
+def read_published_weights(folder: str | os.PathLike[str]) -> Parameters:
+    """Read flow and area parameters; the pressure stages' vectors are empty.
+
+    Parameters
+    ----------
+    folder : path-like
+        Holds the ``.jld2`` files, itself or in ``trained_weights``.
+
+    Raises
+    ------
+    DataNotFoundError
+        If a file is not there.
+    FileError
+        If a file is not readable, or not of the expected length.
+    """
+    folder = Path(folder)
+    inner = folder / "trained_weights"
+    folder = inner if inner.is_dir() else folder
+    needed = sizes(PUBLISHED_CODE, *SHAPE[1:])
+    vectors = {stage: _read(folder / name, needed[stage]) for stage, name in FILES.items()}
+    none = np.empty(0)
+    return Parameters(**vectors, temporal_pressure=none, spatial_pressure=none)
+
+
+def _read(path: Path, size: int) -> Array:
+    import h5py
+
+    if not path.is_file():
+        raise DataNotFoundError(
+            f"There is no {path.name} in {path.parent}. Give the folder of the authors' "
+            "published weights (trained_weights)."
+        )
+    try:
+        with h5py.File(path, "r") as file:
+            vector = np.asarray(read_dataset(file, "p"), dtype=np.float64)
+    except Exception as error:  # damaged bytes can make the reader raise nearly anything
+        raise FileError(f"{path} is not a file of published weights: {error}") from error
+    if vector.shape != (size,) or not np.isfinite(vector).all():
+        raise FileError(
+            f"{path} should hold {size} finite numbers, but has the shape {vector.shape}."
+        )
+    return vector

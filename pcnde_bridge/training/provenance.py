@@ -1,0 +1,53 @@
+"""What is needed to run a fit again, kept in every model, ensemble and checkpoint."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+from pcnde_bridge._version import __version__
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.engines.protocol import Engine
+
+
+def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]:
+    """Collect the facts of a fit that starts here and now.
+
+    Parameters
+    ----------
+    cases : Cases
+        The training cases; their number, labels (geometry and waveform) and
+        fingerprint are kept.
+    engine : Engine or None
+        Who computes, with the versions of its packages.
+    seed : int
+        Of the fit.
+
+    Returns
+    -------
+    dict
+        Whatever JSON can hold.
+    """
+    packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
+    keys = cases.labels[["geometry", "waveform"]].to_numpy()
+    return {
+        "seed": seed,
+        "cases": len(cases),
+        "cases_labels": [[int(value) for value in key] for key in keys],
+        "cases_fingerprint": cases.fingerprint(),
+        "engine": None if engine is None else engine.name,
+        "versions": {
+            "pcnde_bridge": __version__,
+            "python": platform.python_version(),
+            **packages,
+            **({} if engine is None else engine.versions),
+        },
+        "platform": platform.platform(),
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "trained": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
