@@ -18,13 +18,11 @@ from test_closures import (
 
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.engine import JaxEngine
-from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
+from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.errors import SolveError
 
-_STATUS = julia_status()
 pytestmark = [
     pytest.mark.julia,
-    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
 ]
 
 LOCAL = CONFIG.replace(wall={"law": "local"})

@@ -7,7 +7,7 @@ import pytest
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines.jax.engine import JaxEngine
-from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
+from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.parameters import STAGES, initial_parameters
 from pcnde_bridge.engines.protocol import (
     FlowInputs,
@@ -22,10 +22,8 @@ from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.published_weights import read_published_weights
 
-_STATUS = julia_status()
 pytestmark = [
     pytest.mark.julia,
-    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
 ]
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-14, "max_steps": 4096}

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers import julia_or_skip
 
 from pcnde_bridge import (
     PAPER,
@@ -23,7 +24,6 @@ from pcnde_bridge.config import (
     config_from,
 )
 from pcnde_bridge.data.splits import training_and_validation
-from pcnde_bridge.engines import select_engine, why_not_julia
 from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.parameters import initial_parameters
@@ -163,13 +163,6 @@ def area_gradients(engine, cases, grid, config):
 def test_the_area_stages_are_at_their_minimum(engine, small_cases, grid):
     for ratio, _ in area_gradients(engine, small_cases, grid, LITTLE):
         assert ratio < 1e-9
-
-
-def julia_or_skip():
-    why_not = why_not_julia()
-    if why_not is not None:
-        pytest.skip(f"no Julia: {why_not}")
-    return select_engine("julia")
 
 
 @pytest.mark.julia

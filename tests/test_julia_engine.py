@@ -46,7 +46,6 @@ _STATUS = julia_status()
 OUR_SERIES = core_version(julia_sources()).rpartition(".")[0]
 needs_julia = [
     pytest.mark.julia,
-    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
 ]
 
 

@@ -41,7 +41,7 @@ NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressu
 
 @pytest.fixture(scope="module")
 def engine():
-    from conftest import ToyEngine
+    from helpers import ToyEngine
 
     return ToyEngine()
 
@@ -172,7 +172,7 @@ class FailingEngine:
     """Fails for some cases; ``reduce`` because it travels."""
 
     def __new__(cls, counts):
-        from conftest import ToyEngine
+        from helpers import ToyEngine
 
         engine = ToyEngine()
         fit = engine.flow.fit

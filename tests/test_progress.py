@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
+from pcnde_bridge._utils import progress as tasks
+from pcnde_bridge._utils.progress import TaskProgress
 from pcnde_bridge.training import progress
 from pcnde_bridge.training.history import Iteration
 from pcnde_bridge.training.progress import (
-    TaskProgress,
     TrainingProgress,
     listening,
 )
@@ -30,7 +31,8 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=clock.monotonic))
+    for module in (progress, tasks):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock.monotonic))
     return clock
 
 
@@ -89,7 +91,7 @@ def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
 @pytest.mark.parametrize("terminal", [False, True])
 def test_tasks_done_before_and_failed_ones_count(clock, monkeypatch, terminal):
     console = Console(file=io.StringIO(), force_terminal=terminal, width=200, color_system=None)
-    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    monkeypatch.setattr(tasks, "_LOG_EVERY", 0.0)
     with TaskProgress(10, 6, console=console) as bar:
         clock.now += 5.0
         bar("seed 6")

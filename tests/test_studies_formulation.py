@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from pcnde_bridge import plots
 from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.julia.engine import julia_status
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.protocol import FlowInputs
 from pcnde_bridge.engines.staged import undeformed
@@ -23,7 +22,6 @@ from pcnde_bridge.studies.landscapes import (
     loss_landscape,
 )
 
-_STATUS = julia_status()
 TERMS = ("friction", "convection", "inertia")
 TIGHT = {"rtol": 1e-10, "atol": 1e-12, "max_steps": 4096}
 # One short training for all tests: two epochs in two batches, coupled once.
@@ -38,7 +36,6 @@ CONFIG = PAPER.replace(
 
 needs_julia = [
     pytest.mark.julia,
-    pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
 ]
 
 

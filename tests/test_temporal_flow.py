@@ -11,12 +11,10 @@ from scipy.integrate import solve_ivp
 from pcnde_bridge.config import PAPER
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.julia.engine import julia_status
 from pcnde_bridge.engines.parameters import initial_temporal_flow
 from pcnde_bridge.engines.protocol import TemporalFlowInputs
 from pcnde_bridge.errors import SolveError
 
-_STATUS = julia_status()
 N_TIMES, N_POINTS, N_CASES = 12, 7, 2
 GRID = Grid(np.arange(N_TIMES) / N_TIMES, np.linspace(0.0, 4.0, N_POINTS), 1.0)
 
@@ -29,7 +27,6 @@ GRID = Grid(np.arange(N_TIMES) / N_TIMES, np.linspace(0.0, 4.0, N_POINTS), 1.0)
             "julia",
             marks=[
                 pytest.mark.julia,
-                pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}"),
             ],
         ),
     ],
@@ -172,7 +169,6 @@ def test_divergence_is_an_error_with_advice(engine):
 
 
 @pytest.mark.julia
-@pytest.mark.skipif(not _STATUS.usable, reason=f"no Julia: {_STATUS.message}")
 @pytest.mark.parametrize("changes", [{}, {"time_input": True, "steps": 3, "hidden": (5,)}])
 def test_engines_agree(changes):
     config = settings(**changes)

@@ -54,7 +54,7 @@ def train(cases, config, engine, seed=0, **options):
 @pytest.fixture(scope="module")
 def reference(small_cases, toy_config):
     """An uninterrupted run of the toy engine."""
-    from conftest import ToyEngine
+    from helpers import ToyEngine
 
     return train(small_cases, toy_config, ToyEngine())
 
@@ -386,7 +386,7 @@ def test_the_jax_engine_continues_bit_for_bit(
 KILLED = """
 import sys, time
 sys.path.insert(0, {tests!r})
-from conftest import ToyEngine
+from helpers import ToyEngine
 from pcnde_bridge import Cases, PCNDEConfig
 from pcnde_bridge.training.trainer import Trainer
 
