@@ -42,7 +42,7 @@ from pcnde_bridge.training.checkpoint import previous, remove
 
 LITTLE: dict[str, PCNDEConfig | ClosureConfig] = {
     "fast": FAST.replace(
-        all_at_once={"iterations": 20, "later_iterations": 10, "pressure_iterations": 10}
+        full_batch={"iterations": 20, "later_iterations": 10, "pressure_iterations": 10}
     ),
     "paper": PAPER.replace(
         flow={"epochs": 20, "couple_every": 10},

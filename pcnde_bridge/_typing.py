@@ -1,6 +1,8 @@
-"""Type aliases that are used throughout the package."""
+"""Type aliases shared by all rooms."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -9,4 +11,7 @@ Array = npt.NDArray[np.float64]
 """Array of 64-bit floats."""
 
 IntArray = npt.NDArray[np.int64]
-"""Array of 64-bit integers."""
+"""Array of 64-bit integers, such as the positions of cases in a data set."""
+
+AnyArray = npt.NDArray[Any]
+"""Array of numbers or text of any kind."""

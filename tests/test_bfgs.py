@@ -1,4 +1,4 @@
-"""The optimiser against a dense BFGS matrix, and where trial steps diverge."""
+"""The optimizer against a dense BFGS matrix, and where trial steps diverge."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ MAY_BE_ZERO = {
     "turbulent_coefficient",
     "gradient_tolerance",
     "validation",
-    "wave_weight",
+    "amplitude_exponent",
     "weight_decay",
     "pressure_weight_decay",
 }
@@ -200,7 +200,7 @@ configs = st.builds(
         {},
         optional={
             "restart": st.booleans(),
-            "anchor": st.sampled_from(["last_instant", "last_cycle", "undeformed"]),
+            "anchor": st.sampled_from(["last_time_point", "last_cycle", "undeformed"]),
         },
     ),
     st.fixed_dictionaries({}, optional={"iterations": st.integers(1, 999)}),
@@ -248,7 +248,7 @@ def test_presets():
     assert resolve_config("published-code") is PUBLISHED_CODE
     assert resolve_config(PUBLISHED_CODE) is PUBLISHED_CODE
     assert resolve_pcnde_config("fast") is FAST
-    with pytest.raises(InputError, match="of the paper's equations"):
+    with pytest.raises(InputError, match="needs the paper's equations"):
         resolve_pcnde_config("physics")
     for unknown in ("papers", "", None, {"flow": {}}):
         with pytest.raises(InputError, match=r"presets are .*paper"):
@@ -300,9 +300,9 @@ def test_the_papers_text():
     assert physics.reference_pressure == pytest.approx(100 * 1333.22)  # mmHg
     assert (physics.stenosis_position, physics.turbulent_coefficient) == (2.0, 1.52)
     assert physics.stenosis_length == 0.5
-    assert PAPER.optimiser.initial_step_norm == 0.01
-    assert (PAPER.optimiser.shrink_most, PAPER.optimiser.shrink_least) == (0.1, 0.5)
-    assert PAPER.optimiser.sufficient_decrease == 1e-4
+    assert PAPER.optimizer.initial_step_norm == 0.01
+    assert (PAPER.optimizer.shrink_most, PAPER.optimizer.shrink_least) == (0.1, 0.5)
+    assert PAPER.optimizer.sufficient_decrease == 1e-4
 
 
 def test_the_papers_number_of_parameters():

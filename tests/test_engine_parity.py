@@ -158,7 +158,7 @@ def test_fits_take_the_same_path(engines, config, small_cases, problem, stage):
 @pytest.mark.parametrize("stage", ["flow", "spatial_pressure"])
 def test_a_line_search_that_fails_starts_anew_in_both(engines, small_cases, problem, stage):
     # The first trial steps are far too long, and there is one more only.
-    config = PAPER.replace(optimiser={"max_backtracks": 1, "initial_step_norm": 1e3})
+    config = PAPER.replace(optimizer={"max_backtracks": 1, "initial_step_norm": 1e3})
     grid, pairs = problem
     vector = getattr(some_parameters(config, small_cases), stage)
     julia, jax = (getattr(e, stage).fit(vector, *pairs[stage], grid, config, 3) for e in engines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from itertools import pairwise
 
@@ -20,7 +21,7 @@ from pcnde_bridge import (
 )
 from pcnde_bridge.config import (
     FAST,
-    AllAtOnce,
+    FullBatch,
     config_from,
 )
 from pcnde_bridge.data.splits import training_and_validation
@@ -53,10 +54,10 @@ from pcnde_bridge.training.trainer import (
 
 LITTLE = FAST.replace(
     coupling_passes=2,
-    all_at_once={
+    full_batch={
         "rounds": 2,
         "validation": 0.3,
-        "known_flow_iterations": 6,
+        "collocation_iterations": 6,
         "whitening": 1e-2,
         "iterations": 8,
         "later_iterations": 5,
@@ -87,28 +88,43 @@ def everything(small_cases):
 
 def test_the_preset_is_the_papers_model():
     assert PRESETS["fast"] is FAST
-    assert FAST.replace(training="batches", flow={"steps": None}) == PAPER
-    assert PAPER.training == "batches"
+    assert FAST.replace(training="minibatch", flow={"steps": None}) == PAPER
+    assert PAPER.training == "minibatch"
 
 
 def test_settings_written_before_it_existed_are_read():
     old = PAPER.to_dict()
-    del old["training"], old["all_at_once"], old["flow"]["steps"]
+    del old["training"], old["full_batch"], old["flow"]["steps"]
     assert PCNDEConfig.from_dict(old) == config_from(old) == PAPER
     # What was fitted before there were weights had none.
     old = FAST.to_dict()
-    del old["all_at_once"]["wave_weight"]
-    assert config_from(old) == FAST.replace(all_at_once={"wave_weight": 0.0})
+    del old["full_batch"]["amplitude_exponent"]
+    assert config_from(old) == FAST.replace(full_batch={"amplitude_exponent": 0.0})
     assert config_from(FAST.to_dict()) == FAST
+
+
+def test_settings_are_read_by_their_older_names():
+    old = json.loads(
+        FAST.to_json()
+        .replace("full_batch", "all_at_once")
+        .replace("minibatch", "batches")
+        .replace("optimizer", "optimiser")
+        .replace("last_time_point", "last_instant")
+        .replace("normalized", "normalised")
+        .replace("amplitude_exponent", "wave_weight")
+        .replace("collocation_iterations", "known_flow_iterations")
+    )
+    assert "full_batch" not in old
+    assert config_from(old) == PCNDEConfig.from_dict(old) == FAST
 
 
 @pytest.mark.parametrize(
     "change",
     [
         {"training": "batch"},
-        {"all_at_once": {"rounds": 0}},
-        {"all_at_once": {"weight_decay": -1.0}},
-        {"all_at_once": {"unknown": 1}},
+        {"full_batch": {"rounds": 0}},
+        {"full_batch": {"weight_decay": -1.0}},
+        {"full_batch": {"unknown": 1}},
         {"flow": {"steps": 0}},
     ],
 )
@@ -180,7 +196,7 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
 ):
     config = LITTLE.replace(
         temporal_pressure={"activation": activation, "hidden": (3, 2)},
-        all_at_once={"pressure_weight_decay": 0.0},
+        full_batch={"pressure_weight_decay": 0.0},
     )
     inputs = TemporalPressureInputs(small_cases.flow, small_cases.area, small_cases.area_undeformed)
     target = small_cases.pressure / config.physics.reference_pressure
@@ -202,7 +218,7 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
 @pytest.mark.parametrize("form", ["continuous", "printed"])
 def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form):
     config = LITTLE.replace(
-        spatial_pressure={"form": form}, all_at_once={"pressure_iterations": 200}
+        spatial_pressure={"form": form}, full_batch={"pressure_iterations": 200}
     )
     target = small_cases.pressure / config.physics.reference_pressure
     inputs = SpatialPressureInputs(target, small_cases.flow, small_cases.area_undeformed)
@@ -264,7 +280,7 @@ def test_the_minimiser_finds_the_minimum_and_tells_the_loss(lbfgs):
     found = minimise(
         bowl,
         np.zeros(3),
-        AllAtOnce(weight_decay=0.0),
+        FullBatch(weight_decay=0.0),
         50,
         1.0,
         on_iteration=lambda i, loss: seen.append((i, loss)),
@@ -273,7 +289,7 @@ def test_the_minimiser_finds_the_minimum_and_tells_the_loss(lbfgs):
     assert np.allclose(found, 1, atol=1e-7)
     assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
     assert seen[-1][1] < 1e-12
-    decayed = minimise(bowl, np.zeros(3), AllAtOnce(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
+    decayed = minimise(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
     assert np.allclose(decayed, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
 
 
@@ -284,12 +300,12 @@ def test_a_diverging_trial_step_is_shortened(lbfgs):
         trials.append(bool(x.max() > 1.5))
         return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
 
-    settings = AllAtOnce(weight_decay=0.0)
+    settings = FullBatch(weight_decay=0.0)
     found = minimise(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
     assert any(trials)
     assert np.allclose(found, 1, atol=1e-5)
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        minimise(cliff, np.full(3, 2.0), AllAtOnce(), 10, 1.0, lbfgs=lbfgs)
+        minimise(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs=lbfgs)
 
 
 def test_early_stopping_keeps_the_best(lbfgs):
@@ -299,7 +315,7 @@ def test_early_stopping_keeps_the_best(lbfgs):
         looks.append(x.copy())
         return abs(len(looks) - 2.0)
 
-    settings = AllAtOnce(weight_decay=0.0, check_every=1, patience=2)
+    settings = FullBatch(weight_decay=0.0, check_every=1, patience=2)
     found = minimise(
         bowl,
         np.zeros(3),
@@ -315,7 +331,7 @@ def test_early_stopping_keeps_the_best(lbfgs):
 
 
 def test_what_converged_before_the_first_look_is_kept(lbfgs):
-    settings = AllAtOnce(weight_decay=0.0, check_every=1000)
+    settings = FullBatch(weight_decay=0.0, check_every=1000)
     found = minimise(
         bowl, np.zeros(3), settings, 2000, 1.0, lambda x: float(np.sum((x - 1) ** 2)), lbfgs=lbfgs
     )
@@ -376,7 +392,7 @@ def test_plan():
         Unit("spatial_pressure", 1, 1),
     ]
     assert count_iterations(LITTLE, 2) == 2 * 6 + 8 + 5 + 4 + 3 * 12
-    with_terms = LITTLE.replace(flow={"terms": ("friction",)}, all_at_once={"starts": 3})
+    with_terms = LITTLE.replace(flow={"terms": ("friction",)}, full_batch={"starts": 3})
     assert count_iterations(with_terms, 2) == 3 * (6 + 8) + 6 + 5 + 4 + 3 * 12
     assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
 
@@ -420,7 +436,7 @@ def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
 
 def test_the_batches_of_a_state_are_its_parts(small_cases):
     state = TrainingState.start(small_cases, LITTLE, 5)
-    expected = training_and_validation(small_cases, LITTLE.all_at_once.validation, 5)
+    expected = training_and_validation(small_cases, LITTLE.full_batch.validation, 5)
     assert all(map(np.array_equal, state.batches, expected))
     assert len(state.batches) == len(expected)
 
@@ -526,7 +542,7 @@ def test_the_validation_error_has_the_weights_of_the_loss(engine, small_cases, g
     vector = fast.fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     flow = engine.flow.solve(vector, FlowInputs(small_cases.inflow, area), grid, LITTLE)
     off = flow - fast.balanced_flow(small_cases, fitted, LITTLE)
-    power = LITTLE.all_at_once.wave_weight
+    power = LITTLE.full_batch.amplitude_exponent
     weight = fast.wave_weight(small_cases.inflow, fitted, power)[held]
     assert np.ptp(weight) > 0.1
     assert errors == pytest.approx([np.mean(weight[:, None, None] * off[held] ** 2)])
@@ -574,7 +590,7 @@ def test_the_best_of_several_starts_goes_on(
 
 def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
     def run(starts):
-        config = LITTLE.replace(all_at_once={"starts": starts, "validation": 0.0})
+        config = LITTLE.replace(full_batch={"starts": starts, "validation": 0.0})
         trainer = Trainer(small_cases, config, toy_engine)
         state = trainer.start(0)
         return trainer.total(state), trainer.run(state)
@@ -595,8 +611,8 @@ def known_flow(cases, config, chosen):
     area = undeformed(cases.area_undeformed, cases.n_times)
     seen = np.moveaxis(np.concatenate([cases.flow, area], axis=1), 1, 2)
     inputs = seen.reshape(-1, 2 * cases.n_times)
-    whitening = Whitening(inputs, config.flow.hidden[0], config.all_at_once.whitening)
-    weight = fast.wave_weight(cases.inflow, chosen[0], config.all_at_once.wave_weight)
+    whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
+    weight = fast.wave_weight(cases.inflow, chosen[0], config.full_batch.amplitude_exponent)
     known = KnownFlow(cases.flow, area, weight, cases.z, chosen, whitening, config)
     return known, whitening, area
 
@@ -641,17 +657,19 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything,
     area = undeformed(small_cases.area_undeformed, 20)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
     fast.fit_flow([start], small_cases, area, everything, engine, LITTLE, 2)
-    expected = fast.wave_weight(small_cases.inflow, everything[0], LITTLE.all_at_once.wave_weight)
+    expected = fast.wave_weight(
+        small_cases.inflow, everything[0], LITTLE.full_batch.amplitude_exponent
+    )
     assert np.ptp(expected) > 0.1
     assert np.array_equal(seen["known flow"], expected)
     assert np.array_equal(seen["equation"], expected)
 
 
 def test_twice_the_weight_is_the_case_twice(small_cases):
-    config = LITTLE.replace(flow={"loss": "sum"}, all_at_once={"weight_decay": 1e-4})
+    config = LITTLE.replace(flow={"loss": "sum"}, full_batch={"weight_decay": 1e-4})
     area = undeformed(small_cases.area_undeformed, 20)
     inputs = np.moveaxis(np.concatenate([small_cases.flow, area], axis=1), 1, 2).reshape(-1, 40)
-    whitening = Whitening(inputs, config.flow.hidden[0], config.all_at_once.whitening)
+    whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
     n = len(small_cases)
     twice, weight = np.r_[np.arange(n), 2], np.ones(n)
     weight[2] = 2
@@ -661,7 +679,7 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
         chosen, arrays = (np.arange(len(cases)),), (small_cases.flow[cases], area[cases])
         # The decay is in units of the flow's squares.
         decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
-        settings = config.replace(all_at_once={"weight_decay": decay})
+        settings = config.replace(full_batch={"weight_decay": decay})
         known = KnownFlow(*arrays, weights, small_cases.z, chosen, whitening, settings)
         found.append(known._objective(whitening.coordinates(vector)[: -known._last]))
     (loss, gradient), (expected, its_gradient) = found
@@ -674,7 +692,7 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
 def test_the_gradient_along_the_known_flow(small_cases, everything, activation, loss):
     config = LITTLE.replace(
         flow={"hidden": (4, 3), "activation": activation, "loss": loss},
-        all_at_once={"weight_decay": 1e-4},
+        full_batch={"weight_decay": 1e-4},
     )
     known, whitening, _ = known_flow(small_cases, config, everything)
     start = whitening.coordinates(initial_parameters(config, 20, 21, 0).flow)[: -4 * 20]
@@ -690,8 +708,8 @@ def test_the_gradient_along_the_known_flow(small_cases, everything, activation, 
 
 def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, small_cases, grid):
     everything = (np.arange(len(small_cases)),)
-    settings = {"known_flow_iterations": 60, "weight_decay": 0.0, "wave_weight": 0.0}
-    config = LITTLE.replace(all_at_once=settings)
+    settings = {"collocation_iterations": 60, "weight_decay": 0.0, "amplitude_exponent": 0.0}
+    config = LITTLE.replace(full_batch=settings)
     known, _, area = known_flow(small_cases, config, everything)
     start, losses = initial_parameters(config, 20, 21, 0).flow, []
     fitted = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
@@ -731,7 +749,7 @@ def elastic_cases():
     return Cases(flow, area, 1e5 * flow, s_u, t, z, period=1.0)
 
 
-@pytest.mark.parametrize(("anchor", "cycles"), [("last_instant", 3), ("last_cycle", 2)])
+@pytest.mark.parametrize(("anchor", "cycles"), [("last_time_point", 3), ("last_cycle", 2)])
 def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycles):
     cases, chosen = elastic_cases, np.arange(4)
     config = LITTLE.replace(fourier_area={"anchor": anchor})
@@ -750,7 +768,7 @@ def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycle
 
 
 @pytest.mark.parametrize(
-    "change", [{"fourier_area": {"anchor": "undeformed"}}, {"all_at_once": {"mean_flow": "data"}}]
+    "change", [{"fourier_area": {"anchor": "undeformed"}}, {"full_batch": {"mean_flow": "data"}}]
 )
 def test_the_datas_own_mean_flow(elastic_cases, change):
     config = LITTLE.replace(**change)
@@ -770,7 +788,7 @@ def test_where_flow_and_volume_do_not_agree_the_flow_is_the_datas(small_cases, e
 def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
     julia = julia_or_skip()
     # Far enough that the two minimisers' ways no longer matter.
-    config = LITTLE.replace(all_at_once={"pressure_iterations": 60})
+    config = LITTLE.replace(full_batch={"pressure_iterations": 60})
     whole = train(small_cases, julia, config)
     theirs = train(small_cases, engine, config)
     last = {record.stage: record.loss for record in whole.history}

@@ -342,7 +342,7 @@ def test_the_users_stricter_rules_are_not_ours(small_model, small_cases):
     assert np.array_equal(waves.pressure, solve().pressure)
 
 
-@pytest.mark.parametrize("anchor", ["last_instant", "last_cycle", "undeformed"])
+@pytest.mark.parametrize("anchor", ["last_time_point", "last_cycle", "undeformed"])
 def test_predict_is_the_five_stages_in_their_order(engine, grid, parameters, small_cases, anchor):
     # Round-off in the choice of steps shows up to the accuracy of the solve, which the
     # kinks of S between the points limit to about 1e-8 in each pass.

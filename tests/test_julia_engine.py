@@ -430,7 +430,7 @@ def test_iterations_reach_python_and_errors_come_back(engine, flow_problem):
 @pytest.mark.parametrize("listening", [True, False])
 def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    patient = flow_problem[-1].replace(optimiser={"gradient_tolerance": 0.0})
+    patient = flow_problem[-1].replace(optimizer={"gradient_tolerance": 0.0})
     with pytest.raises(KeyboardInterrupt):
         timer.start()
         for _ in range(20):

@@ -155,10 +155,10 @@ def test_noise_needs_one_case_on_the_models_grid(toy_model, small_cases, hardest
 # ---- activation functions -----------------------------------------------------
 
 
-@pytest.mark.parametrize("training", ["batches", "all_at_once"])
+@pytest.mark.parametrize("training", ["minibatch", "full_batch"])
 def test_activations_equal_whole_fits(small_cases, toy_config, toy_engine, training):
     config = toy_config.replace(
-        training=training, all_at_once={"rounds": 1, "iterations": 4, "pressure_iterations": 6}
+        training=training, full_batch={"rounds": 1, "iterations": 4, "pressure_iterations": 6}
     )
     train, test = small_cases.split("paper")
 

@@ -257,7 +257,7 @@ def test_the_area_is_coupled_into_the_flow(small_cases, toy_config, toy_engine):
 
 def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
     found = {}
-    for anchor in ("undeformed", "last_cycle", "last_instant"):
+    for anchor in ("undeformed", "last_cycle", "last_time_point"):
         toy_engine.fourier_area.fits.clear()
         config = toy_config.replace(fourier_area={"anchor": anchor})
         state = train(small_cases, config, toy_engine)
@@ -271,10 +271,10 @@ def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
         whole = toy_engine.intermediate_area.solve(
             first.intermediate_area, IntermediateAreaInputs(flow, s_u), grid, config
         )
-        at = {"undeformed": 0, "last_cycle": 40, "last_instant": 59}[anchor]
+        at = {"undeformed": 0, "last_cycle": 40, "last_time_point": 59}[anchor]
         found[anchor] = toy_engine.fourier_area.fits[0][1].initial_area
         assert np.array_equal(found[anchor], whole[state.batches[0], at])
-    assert not np.allclose(found["last_cycle"], found["last_instant"], rtol=1e-6)
+    assert not np.allclose(found["last_cycle"], found["last_time_point"], rtol=1e-6)
 
 
 # ---- interruption and continuation -------------------------------------------

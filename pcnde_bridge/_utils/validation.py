@@ -1,4 +1,4 @@
-"""Checks that arguments of many functions have in common."""
+"""Checks of arguments: each returns the usable value or raises an ``InputError``."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.errors import InputError
 
 _T = TypeVar("_T")
 
 
 def whole(name: str, value: Any, least: int = 0) -> int:
-    """Return an argument that counts something, which may be one of numpy's integers.
+    """Return an integer argument as an ``int``.
 
     Raises
     ------
     InputError
-        If it is no whole number, or less than ``least``.
+        If it is not a whole number, or less than ``least``.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(f"{name} must be a whole number ≥ {least}, got {value!r}.")
@@ -28,12 +30,12 @@ def whole(name: str, value: Any, least: int = 0) -> int:
 
 
 def finite(name: str, value: Any, unit: str = "") -> float:
-    """Return an argument that is a real number, which may be one of numpy's.
+    """Return a finite real argument as a ``float``.
 
     Raises
     ------
     InputError
-        If it is no real number, or not finite.
+        If it is not a real number, or not finite.
     """
     number = _real(name, value, unit)
     if not math.isfinite(number):
@@ -42,12 +44,12 @@ def finite(name: str, value: Any, unit: str = "") -> float:
 
 
 def positive(name: str, value: Any, unit: str = "") -> float:
-    """Return an argument that is a positive real number, which may be one of numpy's.
+    """Return a positive and finite real argument as a ``float``.
 
     Raises
     ------
     InputError
-        If it is no real number, not finite, or not positive.
+        If it is not a real number, not finite, or not positive.
     """
     number = _real(name, value, unit)
     if not 0.0 < number < math.inf:
@@ -66,8 +68,111 @@ def _in(unit: str) -> str:
     return f" ({unit})" if unit else ""
 
 
+def real_array(name: str, value: npt.ArrayLike) -> Array:
+    """Return a C-contiguous float64 copy of an array of real numbers.
+
+    Raises
+    ------
+    InputError
+        If it is ragged, masked or not of real numbers.
+    """
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{name} is not a regular array: {error}") from error
+    if array.dtype.kind not in "iuf":
+        raise InputError(
+            f"{name} must hold real numbers, but its dtype is {array.dtype}; convert it, for "
+            f"example with np.asarray({name}, dtype=float)"
+        )
+    if np.ma.is_masked(value):
+        raise InputError(f"{name} has masked values; fill them or leave out their cases")
+    return np.array(array, dtype=np.float64, order="C", copy=True)
+
+
+def check_values(
+    name: str, array: AnyArray, wrong: npt.NDArray[np.bool_], rule: str, offset: int = 0
+) -> None:
+    """Raise if values of an array break a rule; report the first one and their number.
+
+    Parameters
+    ----------
+    name : str
+        Name of the array, for the message.
+    array, wrong : array, array of bool
+        The values, and whether each breaks the rule.
+    rule : str
+        The rule, such as ``"areas must be positive (cm²)"``.
+    offset : int
+        Added to the reported index, for an array that is a part of a longer one.
+
+    Raises
+    ------
+    InputError
+        If any value is wrong.
+    """
+    if not wrong.any():
+        return
+    first = tuple(int(i) for i in np.argwhere(wrong)[0])
+    place = f"[{', '.join(str(i + offset) for i in first)}]" if first else ""
+    total = int(np.count_nonzero(wrong))
+    raise InputError(
+        f"{name}{place} is {array[first]}: {rule}; "
+        f"{counted(total, 'value')} of {name} {'is' if total == 1 else 'are'} wrong in this way"
+    )
+
+
+def check_finite(name: str, array: AnyArray) -> None:
+    """Raise if an array has values that are not finite; report the first one.
+
+    Raises
+    ------
+    InputError
+        If any value is NaN or infinite.
+    """
+    check_values(name, array, ~np.isfinite(array), "all values must be finite")
+
+
+def check_increasing(name: str, array: Array, unit: str = "") -> None:
+    """Raise unless a row of numbers increases strictly; report the first that does not.
+
+    Raises
+    ------
+    InputError
+        If a value is not larger than the one before it.
+    """
+    wrong = ~(np.diff(array) > 0)
+    check_values(name, array[1:], wrong, f"{name} must be strictly increasing{_in(unit)}", offset=1)
+
+
+def check_shape(name: str, array: AnyArray, shape: tuple[int, ...], axes: str = "") -> None:
+    """Raise unless an array has the given shape.
+
+    Parameters
+    ----------
+    name : str
+        Name of the array, for the message.
+    array : array
+        The array.
+    shape : tuple of int
+        The shape that it must have.
+    axes : str
+        Names of the axes, for the message: ``"case, time, z"``.
+
+    Raises
+    ------
+    InputError
+        If the shape is another one; a transposed array is pointed out.
+    """
+    if array.shape == shape:
+        return
+    named = f"({axes}) = {shape}" if axes else f"{shape}"
+    hint = "; it looks transposed" if array.ndim == 2 and array.shape == shape[::-1] else ""
+    raise InputError(f"{name} must have the shape {named}, but its shape is {array.shape}{hint}")
+
+
 def all_of(kind: type[_T], name: str, values: Iterable[Any]) -> tuple[_T, ...]:
-    """Return objects that are all of one kind.
+    """Return objects of one kind as a tuple.
 
     Raises
     ------
@@ -75,25 +180,23 @@ def all_of(kind: type[_T], name: str, values: Iterable[Any]) -> tuple[_T, ...]:
         If one is of another kind, or they are not a sequence.
     """
     if not isinstance(values, Iterable):
-        raise InputError(f"{name} must be a sequence of {kind.__name__}, got {_kind(values)}.")
+        raise InputError(
+            f"{name} must be a sequence of {kind.__name__}, got {type(values).__name__}."
+        )
     found = tuple(values)
     for i, value in enumerate(found):
         if not isinstance(value, kind):
-            raise InputError(f"{name}[{i}] must be a {kind.__name__}, got {_kind(value)}.")
+            raise InputError(f"{name}[{i}] must be a {kind.__name__}, got {type(value).__name__}.")
     return found
 
 
-def _kind(value: Any) -> str:
-    return type(value).__name__
-
-
 def whole_seeds(seeds: Sequence[int]) -> list[int]:
-    """Return the seeds of a study.
+    """Return random seeds as a list of ``int``.
 
     Raises
     ------
     InputError
-        If there are none, or one is no whole number ≥ 0, or comes twice.
+        If the list is empty, or a seed is not a whole number ≥ 0, or is repeated.
     """
     found = [whole(f"seeds[{number}]", seed) for number, seed in enumerate(seeds)]
     if not found or len(set(found)) < len(found):
@@ -102,12 +205,12 @@ def whole_seeds(seeds: Sequence[int]) -> list[int]:
 
 
 def counted(n: int, noun: str) -> str:
-    """Return a number with what it counts."""
+    """Return a count with its noun, in the plural where needed: ``"2 geometries"``."""
     plural = noun[:-1] + "ies" if noun.endswith("y") else noun + "s"
     return f"{n} {noun if n == 1 else plural}"
 
 
 def listed(values: Sequence[Any], most: int = 10) -> str:
-    """List values in a message, but not hundreds of them."""
+    """Return the first values as text for a message, and how many there are."""
     text = ", ".join(str(value) for value in values[:most])
     return text if len(values) <= most else f"{text}, … ({len(values)} in all)"

@@ -11,7 +11,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from pcnde_bridge._utils.validation import counted
+from pcnde_bridge._utils.validation import (
+    check_finite,
+    check_increasing,
+    check_values,
+    counted,
+    real_array,
+)
 from pcnde_bridge.data.variables import UNITS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -36,34 +42,11 @@ def check_arrays(given: Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
     arrays = {name: real_array(name, value) for name, value in given.items()}
     _check_shapes(arrays)
     for name, array in arrays.items():
-        _refuse(name, array, ~np.isfinite(array), "all values must be finite")
+        check_finite(name, array)
     for name in ("area", "area_undeformed"):
-        _refuse(name, arrays[name], arrays[name] <= 0, "areas must be positive (cm²)")
-    steps = np.diff(arrays["z"])
-    _refuse("z", arrays["z"][1:], steps <= 0, "z must be strictly increasing (cm)", shift=1)
+        check_values(name, arrays[name], arrays[name] <= 0, "areas must be positive (cm²)")
+    check_increasing("z", arrays["z"], "cm")
     return arrays
-
-
-def real_array(name: str, value: ArrayLike) -> FloatArray:
-    """Return a C-contiguous float64 copy of real numbers.
-
-    Raises
-    ------
-    InputError
-        If they are something else, or masked.
-    """
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise InputError(f"{name} is not a regular array: {error}") from error
-    if array.dtype.kind not in "iuf":
-        raise InputError(
-            f"{name} must hold real numbers, but its dtype is {array.dtype}; convert it, for "
-            f"example with np.asarray({name}, dtype=float)"
-        )
-    if np.ma.is_masked(value):
-        raise InputError(f"{name} has masked values; fill them or leave out their cases")
-    return np.array(array, dtype=np.float64, order="C", copy=True)
 
 
 def _check_shapes(arrays: Mapping[str, FloatArray]) -> None:
@@ -111,21 +94,6 @@ def _one_case_hint(name: str) -> str:
     return f"; for a single case pass {name}[np.newaxis]"
 
 
-def _refuse(
-    name: str, array: FloatArray, wrong: NDArray[np.bool_], rule: str, *, shift: int = 0
-) -> None:
-    """Raise for the first wrong value, and say how many there are."""
-    if not wrong.any():
-        return
-    first = tuple(int(i) for i in np.argwhere(wrong)[0])
-    place = ", ".join(str(i + shift) for i in first)
-    total = int(np.count_nonzero(wrong))
-    raise InputError(
-        f"{name}[{place}] is {array[first]}: {rule}; "
-        f"{counted(total, 'value')} of {name} {'is' if total == 1 else 'are'} wrong in this way"
-    )
-
-
 def check_time(arrays: Mapping[str, FloatArray], period: float | None) -> float:
     """Check that the instants divide the period evenly; return the period."""
     time = arrays["time"]
@@ -135,7 +103,7 @@ def check_time(arrays: Mapping[str, FloatArray], period: float | None) -> float:
         raise InputError("time must increase (s); it ends before it starts")
     # A ten-thousandth of a step leaves room for times stored in single precision.
     off = np.abs(time - (time[0] + step * np.arange(n_times))) > 1e-4 * step
-    _refuse("time", time, off, f"time must have uniform steps (here {step:g} s)")
+    check_values("time", time, off, f"time must have uniform steps (here {step:g} s)")
     cycle = n_times * step
     end_repeated = (
         "the last instant repeats the first, one period later; leave it out (time[:-1], "
@@ -241,7 +209,7 @@ def _blockages(column: pd.Series[Any]) -> NDArray[Any]:
     except (ValueError, TypeError) as error:
         raise InputError(f"labels['blockage'] must hold numbers: {error}") from error
     unknown = np.isnan(values)
-    _refuse(
+    check_values(
         "labels['blockage']",
         values,
         ~unknown & ~((values >= 0) & (values < 1)),

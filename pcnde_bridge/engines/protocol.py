@@ -122,7 +122,7 @@ class SpatialPressureInputs:
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of one run of the optimiser.
+    """Result of one run of the optimizer.
 
     Attributes
     ----------

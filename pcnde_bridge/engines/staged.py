@@ -26,7 +26,7 @@ def undeformed(area_undeformed: Array, n_times: int) -> Array:
 
 def initial_area(intermediate: Array, n_times: int, config: PCNDEConfig) -> Array:
     """Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
-    if config.fourier_area.anchor == "last_instant":
+    if config.fourier_area.anchor == "last_time_point":
         return intermediate[:, -1]
     if config.fourier_area.anchor == "undeformed":
         return intermediate[:, 0]

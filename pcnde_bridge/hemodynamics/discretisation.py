@@ -14,9 +14,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import all_of, finite
+from pcnde_bridge._utils.validation import all_of, finite, real_array
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.checks import UnitsWarning, real_array
+from pcnde_bridge.data.checks import UnitsWarning
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel

@@ -23,9 +23,9 @@ from pcnde_bridge._utils.validation import (
     all_of,
     finite,
     positive,
+    real_array,
     whole,
 )
-from pcnde_bridge.data.checks import real_array
 from pcnde_bridge.errors import InputError
 
 

@@ -22,9 +22,8 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.cache import cache_folder
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import real_array, whole
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.checks import real_array
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.hemodynamics.discretisation import check_vessels
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel

@@ -13,7 +13,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.archive import read_archive, write_archive
-from pcnde_bridge._utils.validation import positive, whole
+from pcnde_bridge._utils.validation import positive, real_array, whole
 from pcnde_bridge.config import (
     PUBLISHED_CODE,
     ClosureConfig,
@@ -22,7 +22,6 @@ from pcnde_bridge.config import (
     resolve_config,
 )
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.checks import real_array
 from pcnde_bridge.data.grid import (
     Grid,
     check_grid,

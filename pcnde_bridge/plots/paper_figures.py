@@ -260,7 +260,7 @@ def _activations(material: Material) -> Drawn:
 def _recipe(material: Material) -> PCNDEConfig:
     """Take the model's settings for studies that train anew, if they train in batches."""
     config = material.model.config
-    if isinstance(config, PCNDEConfig) and config.training == "batches":
+    if isinstance(config, PCNDEConfig) and config.training == "minibatch":
         return config
     return PAPER
 

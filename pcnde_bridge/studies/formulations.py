@@ -190,7 +190,7 @@ def compare_formulations(
         check_grid(train.grid, test.grid, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
-    batches = TrainingState.start(train, config.replace(training="batches"), seed).batches
+    batches = TrainingState.start(train, config.replace(training="minibatch"), seed).batches
     stages = {name: _Trained(name, train, config, chosen, seed) for name in formulations}
     total = len(batches) * sum(s.epochs * s.iterations for s in stages.values())
 

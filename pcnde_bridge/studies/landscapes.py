@@ -303,8 +303,8 @@ def explore_landscapes(
     """
     amplitudes(amplitude, points)
     config = resolve_pcnde_config(config)
-    if config.training != "batches":
-        raise InputError("The landscapes are those of training='batches'; change the config.")
+    if config.training != "minibatch":
+        raise InputError("The landscapes are those of training='minibatch'; change the config.")
     if not right_hand_sides:
         raise InputError("right_hand_sides is empty: name at least one, such as 'network': ().")
     whole("seed", seed)

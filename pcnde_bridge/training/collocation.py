@@ -100,7 +100,7 @@ class KnownFlow:
         whitening: Whitening,
         config: PCNDEConfig,
     ) -> None:
-        self._settings = config.all_at_once
+        self._settings = config.full_batch
         self._whitening = whitening
         self._parts = [_Part(flow[c], area[c], weight[c], z) for c in selection]
         self._seen = [whitening.inputs(part.inputs) for part in self._parts]
@@ -123,7 +123,7 @@ class KnownFlow:
             self._objective,
             coordinates,
             self._settings,
-            self._settings.known_flow_iterations,
+            self._settings.collocation_iterations,
             self._unit,
             self._validation(),
             on_iteration,

@@ -55,12 +55,12 @@ _RIDGE = 1e-9  # on the pressure network's last layer, p_ref²
 
 def divide(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
     """Training part and, unless none is spared, validation part."""
-    return training_and_validation(cases, config.all_at_once.validation, seed)
+    return training_and_validation(cases, config.full_batch.validation, seed)
 
 
 def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
     """All units of a run, in order: rounds of flow and area, then the pressure."""
-    rounds = range(1, config.all_at_once.rounds + 1)
+    rounds = range(1, config.full_batch.rounds + 1)
     units = [Unit(work, r, 1) for r in rounds for work in ("flow", "coupling")]
     # As the flow: with the validation part kept apart, then on all cases.
     units += [Unit("temporal_pressure", r, 1) for r in range(1, n_batches + 1)]
@@ -69,9 +69,9 @@ def plan(config: PCNDEConfig, n_batches: int) -> list[Unit]:
 
 def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all stages, if no fit ends early."""
-    fast = config.all_at_once
+    fast = config.full_batch
     fits = fast.starts if config.flow.terms else 1  # of the equation in the first round
-    flow_iterations = (fast.starts + fast.rounds - 1) * fast.known_flow_iterations
+    flow_iterations = (fast.starts + fast.rounds - 1) * fast.collocation_iterations
     flow_iterations += fits * fast.iterations + (fast.rounds - 1) * fast.later_iterations
     return flow_iterations + 2 * fast.rounds + (n_batches + 1) * fast.pressure_iterations
 
@@ -82,7 +82,7 @@ def fit(wanted: StageFit) -> Array:
     vector, first, grid = getattr(state.parameters, stage), unit.epoch == 1, cases.grid
     selection = state.batches if first else (np.arange(len(cases)),)
     if stage == "flow":
-        settings, starts = config.all_at_once, [vector]
+        settings, starts = config.full_batch, [vector]
         if first:
             size = cases.n_times, cases.n_points
             others = range(1, settings.starts)
@@ -140,7 +140,7 @@ def balanced_flow(cases: Cases, fitted: Positions, config: PCNDEConfig) -> Array
     from scipy.integrate import cumulative_trapezoid, trapezoid
 
     cycles = config.intermediate_area.cycles
-    n = {"last_instant": cycles, "last_cycle": cycles - 1, "undeformed": 0}[
+    n = {"last_time_point": cycles, "last_cycle": cycles - 1, "undeformed": 0}[
         config.fourier_area.anchor
     ]
     flow, area, z = cases.flow, cases.area, cases.z
@@ -152,7 +152,7 @@ def balanced_flow(cases: Cases, fitted: Positions, config: PCNDEConfig) -> Array
     gained = gained - gained.mean(axis=1, keepdims=True)
     shared, square = -float(np.sum(stored * gained)), float(np.sum(gained**2))
     agrees = shared > 0 and shared**2 >= _AGREEMENT * square * float(np.sum(stored**2))
-    if config.all_at_once.mean_flow == "data" or n == 0 or not agrees:
+    if config.full_batch.mean_flow == "data" or n == 0 or not agrees:
         return flow
     a_hat = shared / square
     change = area[:, 0] - cases.area_undeformed
@@ -236,7 +236,7 @@ def fit_flow(
     array of shape (size,)
         Its parameters.
     """
-    settings, grid = config.all_at_once, cases.grid
+    settings, grid = config.full_batch, cases.grid
     fitted = selection[0]
     seen = np.concatenate(
         [np.broadcast_to(cases.inflow[:, :, None], area.shape)[fitted], area[fitted]], axis=1
@@ -245,7 +245,7 @@ def fit_flow(
     whitening = Whitening(
         samples[:: max(1, len(samples) // _SAMPLES)], config.flow.hidden[0], settings.whitening
     )
-    weight = wave_weight(cases.inflow, fitted, settings.wave_weight)
+    weight = wave_weight(cases.inflow, fitted, settings.amplitude_exponent)
     counted = np.zeros(len(cases))
     counted[fitted] = weight[fitted]
     inputs = FlowInputs(cases.inflow, area)
@@ -284,7 +284,7 @@ def fit_flow(
 
     last = 0
     if config.flow.terms:
-        iterations += settings.known_flow_iterations
+        iterations += settings.collocation_iterations
     else:
         known = KnownFlow(target, area, weight, grid.z, selection, whitening, config)
         last = len(starts)
@@ -374,7 +374,7 @@ def fit_temporal_pressure(
     array of shape (size,)
         The network's parameters.
     """
-    stage, settings = config.temporal_pressure, config.all_at_once
+    stage, settings = config.temporal_pressure, config.full_batch
     n_points = target.shape[2]
     widths = layer_sizes("temporal_pressure", config, 0, n_points)
     last = (widths[-2] + 1) * n_points  # numbers in the last layer
@@ -460,7 +460,7 @@ def _network_inputs(inputs: TemporalPressureInputs, config: PCNDEConfig) -> Arra
     """S, S − S_u, Δp and Q at all points, (case, time, 4·z)."""
     physics = config.physics
     drop = _drop(inputs.flow, inputs.area_undeformed, physics.turbulent_coefficient, physics)
-    if config.temporal_pressure.pressure_drop_input == "normalised":
+    if config.temporal_pressure.pressure_drop_input == "normalized":
         drop = drop / physics.reference_pressure
     change = inputs.area - inputs.area_undeformed[:, None]
     return np.concatenate([inputs.area, change, drop, inputs.flow], axis=2)
@@ -497,7 +497,7 @@ def fit_spatial_pressure(
     array of shape (2 + 2·time,)
         a₁, a₂, b₁, b₂.
     """
-    physics, settings, z = config.physics, config.all_at_once, grid.z
+    physics, settings, z = config.physics, config.full_batch, grid.z
     n_cases, n_times, _ = target.shape
     position = physics.stenosis_position
     at_stenosis = np.array(

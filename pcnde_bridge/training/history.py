@@ -1,4 +1,4 @@
-"""What happened in training: one record for every iteration of the optimiser."""
+"""What happened in training: one record for every iteration of the optimizer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ORDER = (*STAGES, *CLOSURES)
 
 
 class Iteration(NamedTuple):
-    """One iteration of the optimiser.
+    """One iteration of the optimizer.
 
     Attributes
     ----------

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import AllAtOnce
+from pcnde_bridge.config import FullBatch
 from pcnde_bridge.engines.protocol import (
     LBFGS,
     Objective,
@@ -83,7 +83,7 @@ class Whitening:
 def minimise(
     objective: Objective,
     start: Array,
-    settings: AllAtOnce,
+    settings: FullBatch,
     iterations: int,
     unit: float,
     validate: Callable[[Array], float] | None = None,
@@ -99,7 +99,7 @@ def minimise(
         Loss and gradient.  Where the loss is not finite the step is shortened.
     start : array of shape (n,)
         First iterate.
-    settings : AllAtOnce
+    settings : FullBatch
         Memory, weight decay and patience.
     iterations : int
         At most so many.

@@ -1,7 +1,7 @@
 """The paper's training loop, independent of the engine that computes.
 
 A run is a fixed list of units of work: one batch of the flow stage, one coupling
-of the area, one pressure stage.  Every unit starts the optimiser afresh, so the
+of the area, one pressure stage.  Every unit starts the optimizer afresh, so the
 parameters and the number of finished units are the whole state of a run, and a
 run continued from a checkpoint repeats the interrupted one bit for bit.
 """
@@ -57,7 +57,7 @@ from pcnde_bridge.training.history import (
 
 FORMAT, FORMAT_VERSION = "pcnde-checkpoint", 1
 
-_ALGORITHMS: dict[str, Algorithm] = {"batches": batches, "all_at_once": all_at_once}
+_ALGORITHMS: dict[str, Algorithm] = {"minibatch": batches, "full_batch": all_at_once}
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class TrainingState(RunState):
     def start(cls, cases: Cases, config: PCNDEConfig, seed: int) -> TrainingState:
         """State before the first unit: seeded parameters and order of the batches.
 
-        With ``training="all_at_once"`` the batches are the training part and, unless it
+        With ``training="full_batch"`` the batches are the training part and, unless it
         is left out, the validation part.
         """
         parameters = initial_parameters(config, cases.n_times, cases.n_points, seed)
@@ -119,7 +119,7 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
     """
     if not cases.flow.any():
         raise InputError("The training cases have no flow: it is zero everywhere.")
-    if config.training == "batches" and config.flow.epochs < config.flow.couple_every:
+    if config.training == "minibatch" and config.flow.epochs < config.flow.couple_every:
         raise InputError(
             f"flow.epochs={config.flow.epochs} is smaller than flow.couple_every="
             f"{config.flow.couple_every}: the area would never be fitted. Couple at least once."

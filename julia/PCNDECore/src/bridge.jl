@@ -133,7 +133,7 @@ function fit(
     @nospecialize(on_iteration = nothing),
 )
     objective = problem(stage, inputs, target, z, period, config)
-    result = fit(objective, θ, config.optimiser, iterations, on_iteration)
+    result = fit(objective, θ, config.optimizer, iterations, on_iteration)
     return values(result)
 end
 

@@ -20,7 +20,7 @@ Optim and the package's JAX engine do; Optim 2.0 alone would end the fit. See [`
 # Arguments
 
   - `start`: flat parameter vector.
-  - `settings`: an [`Optimiser`](@ref).
+  - `settings`: an [`Optimizer`](@ref).
   - `iterations`: at most so many.
   - `on_iteration`: called with each iteration's number, from 1, and its loss; what it
     throws ends the fit and is thrown on.
@@ -37,7 +37,7 @@ the start and after each iteration, and why the fit ended.
 function fit(
     objective::Objective,
     start::Vector{Float64},
-    settings::Optimiser,
+    settings::Optimizer,
     iterations::Integer,
     @nospecialize(on_iteration = nothing),
 )
@@ -79,7 +79,7 @@ end
     Restarting(search, step_norm, differentiable, inverse_hessian, failed)
 
 A line search that, where `search` finds no lower loss, resets `inverse_hessian`, which must
-be the optimiser's own, and searches once more along the steepest descent. Like
+be the optimizer's own, and searches once more along the steepest descent. Like
 [`Record`](@ref), of the same type for every objective.
 """
 mutable struct Restarting{L, D}

@@ -18,7 +18,7 @@ end
 """
 `Optim.BFGS` with `LineSearches.BackTracking`.
 """
-Base.@kwdef struct Optimiser
+Base.@kwdef struct Optimizer
     initial_step_norm::Float64 = 0.01
     sufficient_decrease::Float64 = 1e-4
     shrink_most::Float64 = 0.1
@@ -66,7 +66,7 @@ Periodic area; `anchor` says which of Ŝ's instants it starts from, `frequency` 
 select the published code's variants.
 """
 Base.@kwdef struct FourierAreaStage
-    anchor::String = "last_instant"
+    anchor::String = "last_time_point"
     terms::Int = 10
     frequency::String = "harmonic"
     sides::String = "two"
@@ -78,7 +78,7 @@ First pressure stage.
 Base.@kwdef struct TemporalPressureStage
     hidden::Vector{Int} = [2, 2]
     activation::String = "tanh"
-    pressure_drop_input::String = "normalised"
+    pressure_drop_input::String = "normalized"
 end
 
 """
@@ -93,7 +93,7 @@ All settings, grouped as in Python.
 """
 Base.@kwdef struct Config
     physics::Physics = Physics()
-    optimiser::Optimiser = Optimiser()
+    optimizer::Optimizer = Optimizer()
     flow::FlowStage = FlowStage()
     intermediate_area::IntermediateAreaStage = IntermediateAreaStage()
     fourier_area::FourierAreaStage = FourierAreaStage()

@@ -45,7 +45,7 @@ function set_cases!(problem::TemporalPressure, flow, area, area_undeformed, phys
     inputs = reshape(problem.inputs, :, n_times, n_cases)
     stiffness = reshape(problem.stiffness, n_times, n_cases)
     drop_scale =
-        stage.pressure_drop_input == "normalised" ? 1 / physics.reference_pressure : 1.0
+        stage.pressure_drop_input == "normalized" ? 1 / physics.reference_pressure : 1.0
     for case in 1:n_cases
         start = view(area_undeformed, :, case)
         viscous, turbulent = drop_scale .* drop_coefficients(start, physics)

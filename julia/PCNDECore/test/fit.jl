@@ -43,8 +43,8 @@ end
         for (objective, start, iterations) in (
             (quartic, fill(0.5, 6), 25), (network, glorot(widths, MersenneTwister(1)), 40),
         )
-            result = fit(objective, start, Optimiser(), iterations)
-            parameters, losses = dense_fit(objective, start, Optimiser(), iterations)
+            result = fit(objective, start, Optimizer(), iterations)
+            parameters, losses = dense_fit(objective, start, Optimizer(), iterations)
             @test result.losses ≈ losses rtol = 1e-10
             @test result.parameters ≈ parameters rtol = 1e-10
             @test result.losses[end] < result.losses[1]
@@ -53,8 +53,8 @@ end
         # The flow's steps pass round-off on: see the flow's tests.
         stage = FlowStage()
         start = glorot(flow_widths(stage), MersenneTwister(1))
-        result = fit(flow_problem(stage), start, Optimiser(), 5)
-        parameters, losses = dense_fit(flow_problem(stage), start, Optimiser(), 5)
+        result = fit(flow_problem(stage), start, Optimizer(), 5)
+        parameters, losses = dense_fit(flow_problem(stage), start, Optimizer(), 5)
         @test result.losses ≈ losses rtol = 1e-9
         @test result.parameters ≈ parameters rtol = 1e-9
     end
@@ -75,32 +75,32 @@ end
     @testset "a line search that fails" begin
         # The first step is a thousand times too long for one trial; the steepest descent's
         # own length is not.
-        settings = Optimiser(max_backtracks = 1, initial_step_norm = 1e3)
+        settings = Optimizer(max_backtracks = 1, initial_step_norm = 1e3)
         result = fit(Quartic(fill(0.5, 2)), [0.3, 0.4], settings, 3)
         @test length(result.losses) == 4 && issorted(result.losses; rev = true)
         @test result.message == "all iterations done" && !result.converged
-        stuck = fit(Wall(), [1.0, 2.0], Optimiser(), 3)
+        stuck = fit(Wall(), [1.0, 2.0], Optimizer(), 3)
         @test stuck.losses == [5.0] && stuck.parameters == [1, 2]
         @test stuck.message == "line search found no lower loss" && !stuck.converged
     end
     @testset "ends" begin
-        converged = fit(Quartic(zeros(2)), [1.0, 2.0], Optimiser(), 500)
+        converged = fit(Quartic(zeros(2)), [1.0, 2.0], Optimizer(), 500)
         @test converged.converged && converged.message in ("gradient tolerance", "no change")
         # The first trial steps are not finite: the line search shortens them.
-        far = Optimiser(initial_step_norm = 1e6)
+        far = Optimizer(initial_step_norm = 1e6)
         @test fit(Quartic(fill(-50.0, 2)), [2.9, 0.0], far, 10).losses[end] < 1e7
         seen = Tuple{Int, Float64}[]
         result =
-            fit(Quartic(ones(3)), zeros(3), Optimiser(), 4, (k, loss) -> push!(seen, (k, loss)))
+            fit(Quartic(ones(3)), zeros(3), Optimizer(), 4, (k, loss) -> push!(seen, (k, loss)))
         @test first.(seen) == 1:4 && last.(seen) == result.losses[2:end]
         stop(k, _) = k == 2 && error("enough")
         @test_throws ErrorException("enough") fit(
             Quartic(ones(3)),
             zeros(3),
-            Optimiser(),
+            Optimizer(),
             9,
             stop,
         )
-        @test_throws SolveError fit(Quartic(ones(3)), [4.0, 0, 0], Optimiser(), 9)
+        @test_throws SolveError fit(Quartic(ones(3)), [4.0, 0, 0], Optimizer(), 9)
     end
 end

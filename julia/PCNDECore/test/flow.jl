@@ -130,7 +130,7 @@ end
         @test value!(problem, broken) == Inf
         @test value_and_gradient!(similar(parameters), problem, broken) == Inf
         @test_throws SolveError solve_flow(broken, data.inflow, data.area, z, stage)
-        @test_throws SolveError fit(problem, broken, Optimiser(), 3)
+        @test_throws SolveError fit(problem, broken, Optimizer(), 3)
     end
     # A solve that fails leaves nothing behind.
     fresh = value!(flow_problem(stage), parameters)

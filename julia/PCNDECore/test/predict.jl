@@ -28,7 +28,7 @@ end
     run(cases, parameters, config) = PCNDECore.predict(
         parameters, data.inflow[:, cases], data.area_undeformed[:, cases], z, 0.8, 3, config,
     )
-    for anchor in ("undeformed", "last_cycle", "last_instant"),
+    for anchor in ("undeformed", "last_cycle", "last_time_point"),
         form in ("continuous", "printed"),
         # S has a kink at every point, where a step's error is estimated too small: solves
         # whose adaptive steps differ by round-off differ by up to 100 times the tolerance.

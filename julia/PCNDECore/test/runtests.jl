@@ -1,7 +1,7 @@
 using PCNDECore
 using PCNDECore:
     Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
-    Network, Objective, Optimiser, Physics, PhysicsTerms, SolveError, SpatialPressure,
+    Network, Objective, Optimizer, Physics, PhysicsTerms, SolveError, SpatialPressure,
     SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
     TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
     intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!,

@@ -123,7 +123,7 @@ def _until_anchor(n_times: int, config: PCNDEConfig) -> tuple[np.ndarray, float]
     last = {
         "undeformed": 0,
         "last_cycle": (cycles - 1) * n_times,
-        "last_instant": cycles * n_times - 1,
+        "last_time_point": cycles * n_times - 1,
     }[config.fourier_area.anchor]
     weights = np.zeros(n_times)
     for instant in range(last):

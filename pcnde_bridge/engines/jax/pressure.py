@@ -68,7 +68,7 @@ def _hidden(
     (first, bias), *middle, last = unpack(parameters, widths)
     q = flow.values() if isinstance(flow, Separable) else flow
     drop = _drop(q, area_undeformed[:, None], physics.turbulent_coefficient, physics)
-    if stage.pressure_drop_input == "normalised":
+    if stage.pressure_drop_input == "normalized":
         drop = drop / physics.reference_pressure
     for_area, for_change, for_drop, for_flow = jnp.split(first, 4)
     # S and S − S_u enter linearly: one product does for both.

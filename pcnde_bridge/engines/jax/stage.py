@@ -168,7 +168,7 @@ class JaxStage(Generic[InputsT]):
                 return float(loss), np.asarray(gradient)
 
             return minimise(
-                value, value_and_gradient, parameters, config.optimiser, iterations, on_iteration
+                value, value_and_gradient, parameters, config.optimizer, iterations, on_iteration
             )
 
     def _relevant(self, config: PCNDEConfig) -> PCNDEConfig:

@@ -1,167 +1,24 @@
-"""Every number of the method in one place: immutable, validated, serialisable.
+"""Settings of the method, one immutable dataclass per group, in CGS units.
 
-The default, :data:`PAPER`, follows the text of Csala, Mohan, Livescu and Arzani
-(2024).  Where the published code does something else, the difference is a named
-option of the stage it belongs to, and :data:`PUBLISHED_CODE` sets them all.
-
-Units are CGS: cm, s, mL/s, dyn/cm², g/cm³, poise.
+Defaults follow the text of Csala, Mohan, Livescu and Arzani (2024).  Where the
+published code differs, the difference is a named option of its stage.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
-import numbers
-import types
-import typing
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from dataclasses import dataclass
+from typing import Literal
 
+from pcnde_bridge.config.validation import Section, Settings, layer_widths, positive, signed
 from pcnde_bridge.errors import InputError
 
 Activation = Literal["tanh", "gelu", "relu", "sigmoid", "swish"]
 Loss = Literal["mean", "sum"]
 Term = Literal["friction", "convection", "inertia"]
 
-_Config = TypeVar("_Config", bound="_Section")
-_Whole = TypeVar("_Whole", bound="_Settings")
-
-
-class _Section:
-    """Validation and (de)serialisation shared by every group of settings."""
-
-    def __post_init__(self) -> None:
-        hints = typing.get_type_hints(type(self))
-        for f in dataclasses.fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
-            checked = _checked(value, hints[f.name], f"{type(self).__name__}.{f.name}")
-            object.__setattr__(self, f.name, checked)
-            if not f.metadata.get("signed", False) and _smallest(checked) < 0:
-                raise InputError(f"{type(self).__name__}.{f.name} is negative: {value!r}.")
-            if f.metadata.get("positive", False) and _smallest(checked) <= 0:
-                raise InputError(f"{type(self).__name__}.{f.name} must be positive: {value!r}.")
-            if f.metadata.get("some", False) and not checked:
-                raise InputError(f"{type(self).__name__}.{f.name} must not be empty.")
-
-    def replace(self: _Config, /, **changes: Any) -> _Config:
-        """Copy with some settings changed; groups may be given as mappings.
-
-        Parameters
-        ----------
-        **changes
-            New values.  A group of settings can be given as a mapping of the
-            settings to change in it: ``config.replace(flow={"epochs": 10})``.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is not usable.
-        """
-        names = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
-        for name, value in changes.items():
-            if name not in names:
-                raise InputError(
-                    f"{type(self).__name__} has no setting {name!r}; it has {sorted(names)}."
-                )
-            old = getattr(self, name)
-            if isinstance(old, _Section) and isinstance(value, Mapping):
-                changes[name] = old.replace(**value)
-        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the settings as nested plain dictionaries, ready for JSON."""
-        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
-
-
-class _Settings(_Section):
-    """A whole configuration: read from and written to mappings and JSON."""
-
-    def to_json(self) -> str:
-        """Return the settings as a JSON text that :meth:`from_json` reads back."""
-        return json.dumps(self.to_dict(), indent=1)
-
-    @classmethod
-    def from_dict(cls: type[_Whole], settings: Mapping[str, Any]) -> _Whole:
-        """Make settings from nested mappings; what is left out keeps its default.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown or a value is not usable.
-        """
-        if not isinstance(settings, Mapping):
-            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
-        return cls().replace(**settings)
-
-    @classmethod
-    def from_json(cls: type[_Whole], text: str) -> _Whole:
-        """Inverse of :meth:`to_json`.
-
-        Raises
-        ------
-        InputError
-            If the text is not JSON, a name is unknown or a value is not usable.
-        """
-        try:
-            settings = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"The configuration is not JSON: {error}.") from error
-        return cls.from_dict(settings)
-
-
-def _smallest(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | tuple):
-        return math.inf
-    if not isinstance(value, tuple):
-        return value
-    return min((v for v in value if not isinstance(v, str)), default=math.inf)
-
-
-def _checked(value: Any, hint: Any, where: str) -> Any:
-    """Return ``value`` as the annotated type, or say why it cannot be that."""
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Literal:
-        if value not in arguments:
-            raise InputError(f"{where} must be one of {list(arguments)}, got {value!r}.")
-        return value
-    if origin in (types.UnionType, typing.Union):
-        if value is None:
-            return None
-        (hint,) = (a for a in arguments if a is not type(None))
-        return _checked(value, hint, where)
-    if origin is tuple:
-        if isinstance(value, str) or not isinstance(value, list | tuple):
-            raise InputError(f"{where} must be a sequence, got {value!r}.")
-        return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
-    # The numbers of other libraries, such as numpy's, are taken as Python's own.
-    if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        if hint is float:
-            try:
-                value = float(value)
-            except OverflowError:
-                raise InputError(f"{where} must be finite, got a larger number.") from None
-        elif hint is int and isinstance(value, numbers.Integral):
-            value = int(value)
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{where} must be finite, got {value!r}.")
-    return value
-
-
-def _positive(default: Any) -> Any:
-    return field(default=default, metadata={"positive": True})
-
-
-def _widths(*default: int) -> Any:
-    """Of hidden layers, at least one."""
-    return field(default=default, metadata={"positive": True, "some": True})
-
 
 @dataclass(frozen=True)
-class Physics(_Section):
+class Physics(Section):
     """Blood, wall and stenosis (section 2.5 of the paper).
 
     Attributes
@@ -179,19 +36,19 @@ class Physics(_Section):
         K_t of Seeley and Young (1976).
     """
 
-    density: float = _positive(1.06)
-    viscosity: float = _positive(0.04)
-    young_modulus: float = _positive(1.5e7)
-    wall_thickness: float = _positive(0.05)
-    reference_pressure: float = _positive(133_322.0)
-    stenosis_length: float = _positive(0.5)
-    stenosis_position: float = field(default=2.0, metadata={"signed": True})
+    density: float = positive(1.06)
+    viscosity: float = positive(0.04)
+    young_modulus: float = positive(1.5e7)
+    wall_thickness: float = positive(0.05)
+    reference_pressure: float = positive(133_322.0)
+    stenosis_length: float = positive(0.5)
+    stenosis_position: float = signed(2.0)
     turbulent_coefficient: float = 1.52
 
 
 @dataclass(frozen=True)
-class BFGS(_Section):
-    """The optimiser of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
+class BFGS(Section):
+    """The optimizer of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
 
     The paper names BFGS; these settings are those of the published code.
 
@@ -207,16 +64,16 @@ class BFGS(_Section):
         A fit stops early when max|g| is not larger than this.
     """
 
-    initial_step_norm: float = _positive(0.01)
-    sufficient_decrease: float = _positive(1e-4)
-    shrink_most: float = _positive(0.1)
-    shrink_least: float = _positive(0.5)
-    max_backtracks: int = _positive(1000)
+    initial_step_norm: float = positive(0.01)
+    sufficient_decrease: float = positive(1e-4)
+    shrink_most: float = positive(0.1)
+    shrink_least: float = positive(0.5)
+    max_backtracks: int = positive(1000)
     gradient_tolerance: float = 1e-8
 
 
 @dataclass(frozen=True)
-class FlowStage(_Section):
+class FlowStage(Section):
     """Momentum equation ∂Q/∂z = f_θ(Q, S) + physics terms, a neural ODE in z.
 
     Attributes
@@ -243,26 +100,26 @@ class FlowStage(_Section):
         Equal steps of Tsit5 in place of adaptive ones; then the four settings
         before this one do not matter.
     loss : {'mean', 'sum'}
-        Mean (paper) or sum (published code) of squared errors.  The optimiser's
+        Mean (paper) or sum (published code) of squared errors.  The optimizer's
         path does not depend on the scale, but for its gradient tolerance.
     """
 
     terms: tuple[Term, ...] = ()
-    hidden: tuple[int, ...] = _widths(8, 8, 8, 8)
+    hidden: tuple[int, ...] = layer_widths(8, 8, 8, 8)
     activation: Activation = "tanh"
-    epochs: int = _positive(100)
-    iterations: int = _positive(5)
-    couple_every: int = _positive(25)
-    rtol: float = _positive(1e-3)
-    atol: float = _positive(1e-6)
-    first_step: float | None = _positive(None)
-    max_steps: int = _positive(256)
-    steps: int | None = _positive(None)
+    epochs: int = positive(100)
+    iterations: int = positive(5)
+    couple_every: int = positive(25)
+    rtol: float = positive(1e-3)
+    atol: float = positive(1e-6)
+    first_step: float | None = positive(None)
+    max_steps: int = positive(256)
+    steps: int | None = positive(None)
     loss: Loss = "mean"
 
 
 @dataclass(frozen=True)
-class TemporalFlowStage(_Section):
+class TemporalFlowStage(Section):
     """Momentum equation ∂Q/∂t = f_θ(Q) or f_θ(Q, t), a neural ODE in time (section 2.3).
 
     The formulation that the paper compares its own with; no model is made of it
@@ -282,16 +139,16 @@ class TemporalFlowStage(_Section):
         Passes through the batches, and BFGS iterations in each batch.
     """
 
-    hidden: tuple[int, ...] = _widths(8, 8, 8, 8)
+    hidden: tuple[int, ...] = layer_widths(8, 8, 8, 8)
     activation: Activation = "tanh"
     time_input: bool = False
-    steps: int = _positive(1)
-    epochs: int = _positive(100)
-    iterations: int = _positive(5)
+    steps: int = positive(1)
+    epochs: int = positive(100)
+    iterations: int = positive(5)
 
 
 @dataclass(frozen=True)
-class IntermediateAreaStage(_Section):
+class IntermediateAreaStage(Section):
     """Continuity ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
 
     Attributes
@@ -302,12 +159,12 @@ class IntermediateAreaStage(_Section):
         BFGS iterations in each batch, each time the area is coupled.
     """
 
-    cycles: int = _positive(3)
-    iterations: int = _positive(5)
+    cycles: int = positive(3)
+    iterations: int = positive(5)
 
 
 @dataclass(frozen=True)
-class FourierAreaStage(_Section):
+class FourierAreaStage(Section):
     """Periodic area by Fourier series, S_n = −a(z)/(iω_n) ∂Q_n/∂z.
 
     Attributes
@@ -316,7 +173,7 @@ class FourierAreaStage(_Section):
         Number of terms with the mean, so harmonics 1 … terms − 1.
     iterations : int
         BFGS iterations in each batch, each time the area is coupled.
-    anchor : {'last_instant', 'last_cycle', 'undeformed'}
+    anchor : {'last_time_point', 'last_cycle', 'undeformed'}
         Where S₀ takes Ŝ(z, t=0) from.  The text does not say which of the
         integrated cycles' starts is t = 0; the default is the published code's
         reading, the end of the integration (the start of the next cycle, where
@@ -335,16 +192,16 @@ class FourierAreaStage(_Section):
         counts.
     """
 
-    terms: int = field(default=10, metadata={"positive": True})
-    iterations: int = _positive(5)
-    anchor: Literal["last_instant", "last_cycle", "undeformed"] = "last_instant"
+    terms: int = positive(10)
+    iterations: int = positive(5)
+    anchor: Literal["last_time_point", "last_cycle", "undeformed"] = "last_time_point"
     frequency: Literal["harmonic", "next"] = "harmonic"
     sides: Literal["two", "one"] = "two"
     restart: bool = False
 
 
 @dataclass(frozen=True)
-class TemporalPressureStage(_Section):
+class TemporalPressureStage(Section):
     """First pressure stage, p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q).
 
     Attributes
@@ -355,19 +212,19 @@ class TemporalPressureStage(_Section):
         tanh in the paper's text; the published weights fit GeLU.
     iterations : int
         BFGS iterations, on all training cases at once.
-    pressure_drop_input : {'normalised', 'dyn'}
+    pressure_drop_input : {'normalized', 'dyn'}
         Δp/p_ref as in the published code, or Δp in dyn/cm².  The text leaves
         the scale open; in dyn/cm² the input saturates every tanh.
     """
 
-    hidden: tuple[int, ...] = _widths(2, 2)
+    hidden: tuple[int, ...] = layer_widths(2, 2)
     activation: Activation = "tanh"
-    iterations: int = _positive(250)
-    pressure_drop_input: Literal["normalised", "dyn"] = "normalised"
+    iterations: int = positive(250)
+    pressure_drop_input: Literal["normalized", "dyn"] = "normalized"
 
 
 @dataclass(frozen=True)
-class SpatialPressureStage(_Section):
+class SpatialPressureStage(Section):
     """Second pressure stage: constant, tanh at the stenosis, constant.
 
     Attributes
@@ -381,12 +238,12 @@ class SpatialPressureStage(_Section):
         drop on either side; 'printed' is the equation to the letter.
     """
 
-    iterations: int = _positive(75)
+    iterations: int = positive(75)
     form: Literal["continuous", "printed"] = "continuous"
 
 
 @dataclass(frozen=True)
-class AllAtOnce(_Section):
+class FullBatch(Section):
     """Training on all cases at once, with least squares for all that is linear.
 
     Networks are fitted by L-BFGS without restarts, in whitened weights
@@ -407,10 +264,10 @@ class AllAtOnce(_Section):
     mean_flow : {'area', 'data'}
         Whose mean over the cycle the flow is fitted to: that which the data's area asks
         for (:func:`pcnde_bridge.training.full_batch.balanced_flow`), or the data's flow's.
-    wave_weight : float
+    amplitude_exponent : float
         Each case's squares of the flow count by its inflow's range over time to the power
         of minus this (:func:`pcnde_bridge.training.full_batch.wave_weight`); 0 counts all alike.
-    known_flow_iterations : int
+    collocation_iterations : int
         L-BFGS iterations of each of these, and of the one in each later round, along the
         data's flow (:mod:`pcnde_bridge.training.collocation`).
     iterations, later_iterations : int
@@ -434,43 +291,43 @@ class AllAtOnce(_Section):
         beside the loss over the target's mean square.
     """
 
-    rounds: int = _positive(2)
-    starts: int = _positive(1)
+    rounds: int = positive(2)
+    starts: int = positive(1)
     mean_flow: Literal["area", "data"] = "area"
-    wave_weight: float = 1.5
-    known_flow_iterations: int = _positive(120)
-    iterations: int = _positive(20)
-    later_iterations: int = _positive(60)
-    pressure_iterations: int = _positive(100)
-    memory: int = _positive(100)
+    amplitude_exponent: float = 1.5
+    collocation_iterations: int = positive(120)
+    iterations: int = positive(20)
+    later_iterations: int = positive(60)
+    pressure_iterations: int = positive(100)
+    memory: int = positive(100)
     validation: float = 0.0
-    patience: int = _positive(30)
-    check_every: int = _positive(10)
-    whitening: float = _positive(1e-1)
+    patience: int = positive(30)
+    check_every: int = positive(10)
+    whitening: float = positive(1e-1)
     weight_decay: float = 1e-7
     pressure_weight_decay: float = 1e-3
 
 
 @dataclass(frozen=True)
-class PCNDEConfig(_Settings):
+class PCNDEConfig(Settings):
     """All settings of a PCNDE, grouped per stage; the default is the paper's.
 
     Attributes
     ----------
     physics : Physics
         Constants of blood, wall and stenosis.
-    optimiser : BFGS
-        Settings of the optimiser that all stages share.
+    optimizer : BFGS
+        Settings of the optimizer that all stages share.
     flow, intermediate_area, fourier_area : stage settings
         Trained in turns, coupled.
     temporal_pressure, spatial_pressure : stage settings
         Trained after them.
     temporal_flow : TemporalFlowStage
         The formulation in time, which only a study uses.
-    training : {'batches', 'all_at_once'}
-        BFGS restarted in every batch (paper), or what ``all_at_once`` says; then the
-        optimiser, the stages' epochs and iterations and the batch size do not matter.
-    all_at_once : AllAtOnce
+    training : {'minibatch', 'full_batch'}
+        BFGS restarted in every batch (paper), or what ``full_batch`` says; then the
+        optimizer, the stages' epochs and iterations and the batch size do not matter.
+    full_batch : FullBatch
         Settings of that.
     batch_size : int
         Cases in a batch of the flow and area stages.
@@ -485,21 +342,21 @@ class PCNDEConfig(_Settings):
     """
 
     physics: Physics = Physics()
-    optimiser: BFGS = BFGS()
+    optimizer: BFGS = BFGS()
     flow: FlowStage = FlowStage()
     intermediate_area: IntermediateAreaStage = IntermediateAreaStage()
     fourier_area: FourierAreaStage = FourierAreaStage()
     temporal_pressure: TemporalPressureStage = TemporalPressureStage()
     spatial_pressure: SpatialPressureStage = SpatialPressureStage()
     temporal_flow: TemporalFlowStage = TemporalFlowStage()
-    training: Literal["batches", "all_at_once"] = "batches"
-    all_at_once: AllAtOnce = AllAtOnce()
-    batch_size: int = _positive(12)
-    coupling_passes: int = _positive(3)
+    training: Literal["minibatch", "full_batch"] = "minibatch"
+    full_batch: FullBatch = FullBatch()
+    batch_size: int = positive(12)
+    coupling_passes: int = positive(3)
 
 
 @dataclass(frozen=True)
-class OutletClosure(_Section):
+class OutletClosure(Section):
     """Outlet condition p(L) = p_d + 𝒵 Q(L); what is None is learned.
 
     Attributes
@@ -514,13 +371,13 @@ class OutletClosure(_Section):
         pressure by more than 1 % of its variation.
     """
 
-    resistance: float | None = _positive(None)
-    distal_pressure: float | None = field(default=None, metadata={"signed": True})
+    resistance: float | None = positive(None)
+    distal_pressure: float | None = signed(None)
     kind: Literal["auto", "resistance", "windkessel"] = "auto"
 
 
 @dataclass(frozen=True)
-class LossClosure(_Section):
+class LossClosure(Section):
     """Pressure losses along the vessel; what is None is learned.
 
     Attributes
@@ -532,14 +389,14 @@ class LossClosure(_Section):
         Growth of a free jet's radius per length of the way.
     """
 
-    friction: float | None = _positive(None)
-    inertia: float | None = _positive(None)
-    convection: float | None = _positive(None)
-    jet_spread: float | None = _positive(None)
+    friction: float | None = positive(None)
+    inertia: float | None = positive(None)
+    convection: float | None = positive(None)
+    jet_spread: float | None = positive(None)
 
 
 @dataclass(frozen=True)
-class WallClosure(_Section):
+class WallClosure(Section):
     """Wall; what is None is learned.
 
     Attributes
@@ -560,16 +417,16 @@ class WallClosure(_Section):
     """
 
     law: Literal["auto", "membrane", "local"] = "auto"
-    stiffness: float | None = _positive(None)
+    stiffness: float | None = positive(None)
     poisson: float | None = None
-    shear: float | None = _positive(None)
-    support: float | None = _positive(None)
-    exponent: float | None = field(default=None, metadata={"signed": True})
-    zero_pressure: float | None = field(default=None, metadata={"signed": True})
+    shear: float | None = positive(None)
+    support: float | None = positive(None)
+    exponent: float | None = signed(None)
+    zero_pressure: float | None = signed(None)
 
 
 @dataclass(frozen=True)
-class CorrectionClosure(_Section):
+class CorrectionClosure(Section):
     """Continuity's factor and the learned correction.
 
     Attributes
@@ -591,11 +448,11 @@ class CorrectionClosure(_Section):
         are the ensemble that gives the uncertainty.  At least 2; 0 leaves it out.
     """
 
-    storage: float | None = _positive(None)
-    hidden: tuple[int, ...] = _positive(())
+    storage: float | None = positive(None)
+    hidden: tuple[int, ...] = positive(())
     weight_decay: float = 1e-4
-    evaluations: int = _positive(60)
-    passes: int = _positive(8)
+    evaluations: int = positive(60)
+    passes: int = positive(8)
     folds: int = 3
 
     def __post_init__(self) -> None:
@@ -607,7 +464,7 @@ class CorrectionClosure(_Section):
 
 
 @dataclass(frozen=True)
-class ClosureConfig(_Settings):
+class ClosureConfig(Settings):
     """All settings of the ``physics`` preset; see :mod:`pcnde_bridge.closures`.
 
     Attributes
@@ -623,81 +480,3 @@ class ClosureConfig(_Settings):
     losses: LossClosure = LossClosure()
     wall: WallClosure = WallClosure()
     correction: CorrectionClosure = CorrectionClosure()
-
-
-PAPER = PCNDEConfig()
-"""The paper's text, all of its numbers."""
-
-PUBLISHED_CODE = PAPER.replace(
-    flow={"loss": "sum"},
-    fourier_area={
-        "frequency": "next",
-        "sides": "one",
-        "restart": True,
-    },
-    temporal_pressure={"activation": "gelu"},
-)
-"""What the authors' published code and weights do, where it differs from the text."""
-
-FAST = PAPER.replace(training="all_at_once", flow={"steps": 12})
-"""The paper's equations and parameters, trained all at once, in seconds.
-
-Twelve equal steps solve the momentum equation as exactly as the adaptive ones do."""
-
-PHYSICS = ClosureConfig()
-"""Closures that obey what the data obey; see :mod:`pcnde_bridge.closures`."""
-
-PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
-    {"paper": PAPER, "published-code": PUBLISHED_CODE, "fast": FAST, "physics": PHYSICS}
-)
-"""The named configurations, as ``--preset`` and ``PCNDE.fit(config=…)`` know them."""
-
-
-def config_from(settings: Any) -> PCNDEConfig | ClosureConfig:
-    """Read the settings that a file keeps; only the closures' have a group ``outlet``.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value is not usable.
-    """
-    if isinstance(settings, Mapping) and "outlet" in settings:
-        return ClosureConfig.from_dict(settings)
-    if isinstance(settings, Mapping) and settings.get("training") == "all_at_once":
-        group = settings.get("all_at_once")
-        if isinstance(group, Mapping):
-            # Before there was this setting, all cases counted alike.
-            settings = {**settings, "all_at_once": {"wave_weight": 0.0, **group}}
-    return PCNDEConfig.from_dict(settings)
-
-
-def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | ClosureConfig:
-    """Return a configuration given as itself or by its preset's name.
-
-    Raises
-    ------
-    InputError
-        If there is no preset of that name.
-    """
-    if isinstance(config, PCNDEConfig | ClosureConfig):
-        return config
-    if isinstance(config, str) and config in PRESETS:
-        return PRESETS[config]
-    raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.")
-
-
-def resolve_pcnde_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig:
-    """Return a configuration of the paper's equations, given as itself or by its preset's name.
-
-    Raises
-    ------
-    InputError
-        If there is no preset of that name, or its equations are others.
-    """
-    found = resolve_config(config)
-    if not isinstance(found, PCNDEConfig):
-        raise InputError(
-            "This study is of the paper's equations: give a PCNDEConfig or its preset ('paper', "
-            "'published-code', 'fast'), not one of the preset 'physics'."
-        )
-    return found

@@ -1,0 +1,174 @@
+"""Validation and serialization shared by all groups of settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import numbers
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, Literal, Self
+
+from pcnde_bridge.errors import InputError
+
+_CURRENT_NAMES = {
+    "all_at_once": "full_batch",
+    "batches": "minibatch",
+    "known_flow_iterations": "collocation_iterations",
+    "last_instant": "last_time_point",
+    "normalised": "normalized",
+    "optimiser": "optimizer",
+    "wave_weight": "amplitude_exponent",
+}
+"""Settings and choices by the names that older files give them."""
+
+
+def current_names(settings: Any) -> Any:
+    """Return settings read from a file with older names replaced by the current ones."""
+    if isinstance(settings, Mapping):
+        return {
+            _CURRENT_NAMES.get(name, name): current_names(value) for name, value in settings.items()
+        }
+    return _CURRENT_NAMES.get(settings, settings) if isinstance(settings, str) else settings
+
+
+def positive(default: Any) -> Any:
+    """Return a dataclass field for a positive setting (None, where allowed, passes)."""
+    return dataclasses.field(default=default, metadata={"positive": True})
+
+
+def signed(default: Any) -> Any:
+    """Return a dataclass field for a setting that may be negative."""
+    return dataclasses.field(default=default, metadata={"signed": True})
+
+
+def layer_widths(*default: int) -> Any:
+    """Return a dataclass field for the widths of at least one hidden layer."""
+    return dataclasses.field(default=default, metadata={"positive": True, "nonempty": True})
+
+
+class Section:
+    """Group of settings: a frozen dataclass whose values are checked when it is created."""
+
+    def __post_init__(self) -> None:
+        hints = typing.get_type_hints(type(self))
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]
+            where, value = f"{type(self).__name__}.{f.name}", getattr(self, f.name)
+            checked = _checked(value, hints[f.name], where)
+            object.__setattr__(self, f.name, checked)
+            if not f.metadata.get("signed", False) and _smallest(checked) < 0:
+                raise InputError(f"{where} is negative: {value!r}.")
+            if f.metadata.get("positive", False) and _smallest(checked) <= 0:
+                raise InputError(f"{where} must be positive: {value!r}.")
+            if f.metadata.get("nonempty", False) and not checked:
+                raise InputError(f"{where} must not be empty.")
+
+    def replace(self, /, **changes: Any) -> Self:
+        """Return a copy with some settings changed.
+
+        Parameters
+        ----------
+        **changes
+            New values.  A group of settings can be given as a mapping of the
+            settings to change in it: ``config.replace(flow={"epochs": 10})``.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not usable.
+        """
+        names = {f.name for f in dataclasses.fields(self)}  # type: ignore[arg-type]
+        for name, value in changes.items():
+            if name not in names:
+                raise InputError(
+                    f"{type(self).__name__} has no setting {name!r}; it has {sorted(names)}."
+                )
+            old = getattr(self, name)
+            if isinstance(old, Section) and isinstance(value, Mapping):
+                changes[name] = old.replace(**value)
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as nested plain dictionaries, ready for JSON."""
+        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+
+
+class Settings(Section):
+    """Complete configuration, which can be read from and written to mappings and JSON."""
+
+    def to_json(self) -> str:
+        """Return the settings as a JSON text that :meth:`from_json` reads."""
+        return json.dumps(self.to_dict(), indent=1)
+
+    @classmethod
+    def from_dict(cls, settings: Mapping[str, Any]) -> Self:
+        """Return settings from nested mappings; omitted ones keep their defaults.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not usable.
+        """
+        if not isinstance(settings, Mapping):
+            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
+        return cls().replace(**current_names(settings))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return settings from a JSON text, the inverse of :meth:`to_json`.
+
+        Raises
+        ------
+        InputError
+            If the text is not JSON, a name is unknown or a value is not usable.
+        """
+        try:
+            settings = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"The configuration is not JSON: {error}.") from error
+        return cls.from_dict(settings)
+
+
+def _smallest(value: Any) -> float:
+    """Return the smallest number in a setting, infinity if it has none."""
+    values = value if isinstance(value, tuple) else (value,)
+    found = (v for v in values if isinstance(v, int | float) and not isinstance(v, bool))
+    return min(found, default=math.inf)
+
+
+def _checked(value: Any, hint: Any, where: str) -> Any:
+    """Return ``value`` as the annotated type, or raise an error that explains the mismatch."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        if value not in arguments:
+            raise InputError(f"{where} must be one of {list(arguments)}, got {value!r}.")
+        return value
+    if origin in (types.UnionType, typing.Union):
+        if value is None:
+            return None
+        (hint,) = (a for a in arguments if a is not type(None))
+        return _checked(value, hint, where)
+    if origin is tuple:
+        if isinstance(value, str) or not isinstance(value, list | tuple):
+            raise InputError(f"{where} must be a sequence, got {value!r}.")
+        return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
+    value = _python_number(value, hint, where)
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where} must be finite, got {value!r}.")
+    return value
+
+
+def _python_number(value: Any, hint: Any, where: str) -> Any:
+    """Convert numbers of other libraries, such as numpy's, to Python's own."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return value
+    if hint is float:
+        try:
+            return float(value)
+        except OverflowError:
+            raise InputError(f"{where} must be finite, got a larger number.") from None
+    return int(value) if hint is int and isinstance(value, numbers.Integral) else value
