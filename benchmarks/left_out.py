@@ -20,7 +20,14 @@ from pcnde_bridge.model.metrics import pooled_errors
 
 FOLDS = {
     "pairs": [([9], [8]), ([1], [0]), ([4], [5]), ([6], [2])],
-    "correction": [([9], [8]), ([], [8]), ([], [7, 8]), ([8, 9], []), ([1, 2], []), ([4, 5, 6], [])],
+    "correction": [
+        ([9], [8]),
+        ([], [8]),
+        ([], [7, 8]),
+        ([8, 9], []),
+        ([1, 2], []),
+        ([4, 5, 6], []),
+    ],
 }
 """Left-out geometries and waveforms of each fold."""
 
