@@ -82,7 +82,7 @@ def test_members_are_fits_with_the_next_seeds(small_cases, config, engine, ensem
 def test_mean_and_deviation(small_cases, ensemble):
     prediction = ensemble.predict(small_cases)
     alone = [member.predict(small_cases) for member in ensemble.members]
-    deviation = prediction.deviation()
+    deviation = prediction.standard_deviation()
     for number, name in enumerate(VARIABLES):
         values = np.stack([p.variables()[name] for p in alone])
         np.testing.assert_allclose(prediction.variables()[name], values.mean(axis=0), rtol=1e-14)
@@ -96,7 +96,7 @@ def test_mean_and_deviation(small_cases, ensemble):
         assert prediction.samples[name].shape == values.shape
     # The flow at the inlet is given.
     np.testing.assert_allclose(deviation["flow"][:, :, 0], 0, atol=1e-12)
-    assert "pressure_deviation" in prediction.to_frame()
+    assert "pressure_standard_deviation" in prediction.to_frame()
     table = ensemble.evaluate(small_cases)
     errors = pooled_errors(prediction.variables(), small_cases)
     assert table.iloc[-1].to_dict() == pytest.approx(errors)
@@ -107,7 +107,7 @@ def test_where_members_agree_the_samples_still_have_the_deviation(small_cases, c
     calibration = Calibration(np.full((3, 4), 0.5), np.array([1.0, 2.0, 3.0]))
     prediction = Ensemble([member, member, member], calibration).predict(small_cases)
     for name, c in zip(VARIABLES, (1.0, 2.0, 3.0), strict=True):
-        np.testing.assert_allclose(prediction.deviation()[name], 0.5 * c, rtol=1e-6)
+        np.testing.assert_allclose(prediction.standard_deviation()[name], 0.5 * c, rtol=1e-6)
         np.testing.assert_allclose(
             prediction.samples[name].mean(axis=0), prediction.variables()[name], rtol=1e-9
         )
@@ -208,7 +208,7 @@ def test_an_ensemble_predicts_batch_by_batch(small_cases, ensemble):
         parts = list(batches)
     assert [len(part) for part in parts] == [5, 5, 2]
     found = pd.concat([part.to_frame() for part in parts], ignore_index=True)
-    assert "flow_deviation" in found
+    assert "flow_standard_deviation" in found
     pd.testing.assert_frame_equal(found, whole.to_frame(), rtol=1e-9)
     with pytest.raises(InputError, match="batch must be a whole number ≥ 1"):
         ensemble.predict_batches(*inputs, batch=0)
@@ -483,7 +483,9 @@ def test_an_ensemble_on_the_command_line(
     assert code == 0
     frame = pd.read_csv("p.csv")
     expected = whole.predict(small_cases.select([0])).to_frame()
-    np.testing.assert_allclose(frame["pressure_deviation"], expected["pressure_deviation"])
+    np.testing.assert_allclose(
+        frame["pressure_standard_deviation"], expected["pressure_standard_deviation"]
+    )
 
 
 def test_options_of_fit_that_do_not_go_together(commands):

@@ -439,7 +439,7 @@ def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
 def test_samples_have_the_shape_and_are_the_seeds_own(model, cases, prediction):
     for name in VARIABLES:
         assert prediction.samples[name].shape == (12, 16, 32, 41)
-        assert prediction.deviation()[name].shape == (16, 32, 41)
+        assert prediction.standard_deviation()[name].shape == (16, 32, 41)
         assert np.isfinite(prediction.samples[name]).all()
     same, other = (model.predict(cases, samples=12, seed=seed) for seed in (3, 4))
     assert same_bits(same, prediction)
@@ -451,8 +451,8 @@ def test_samples_have_the_shape_and_are_the_seeds_own(model, cases, prediction):
 def test_samples_meet_the_inlet_flow_exactly_and_spread_further_on(prediction):
     flow = prediction.samples["flow"]
     assert (flow[..., 0] == INFLOW).all()
-    assert prediction.deviation()["flow"][..., 0].max() < 1e-14
-    assert (prediction.deviation()["flow"][..., 5:] > 0).all()
+    assert prediction.standard_deviation()["flow"][..., 0].max() < 1e-14
+    assert (prediction.standard_deviation()["flow"][..., 5:] > 0).all()
     area = prediction.samples["area"][..., [0, -1]]
     assert np.allclose(area, AREA[:, None, [0, -1]], rtol=1e-13)
 
@@ -488,7 +488,7 @@ def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, predict
     with pytest.raises(InputError, match="has no samples"):
         model.predict(cases).interval()
     with pytest.raises(InputError, match="has no samples"):
-        model.predict(cases).deviation()
+        model.predict(cases).standard_deviation()
 
 
 @pytest.mark.parametrize("seed", [-1, "0"])
@@ -713,8 +713,8 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     expected = model.predict(waves(time)[[0, 3]], AREA[[0, 7]], samples=8)
     found = read_frame(result)
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
-    deviation = expected.deviation()["pressure"].ravel()
-    assert np.allclose(found["pressure_deviation"], deviation, rtol=1e-6)
+    deviation = expected.standard_deviation()["pressure"].ravel()
+    assert np.allclose(found["pressure_standard_deviation"], deviation, rtol=1e-6)
 
 
 # ---- the published cases -------------------------------------------------------

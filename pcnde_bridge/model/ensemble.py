@@ -239,7 +239,7 @@ class Ensemble:
         Prediction
             The mean of the members.  Its ``samples`` are the members, moved away from the
             mean so that their standard deviation is the calibrated one;
-            ``deviation()`` and ``interval()`` follow.
+            ``standard_deviation()`` and ``interval()`` follow.
 
         Warns
         -----

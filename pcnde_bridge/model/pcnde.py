@@ -264,7 +264,7 @@ class PCNDE:
             s, where it is not the model's (``physics`` preset).
         samples : int
             Draws of the prediction (``physics`` preset), at least 2: the result's ``samples``,
-            ``deviation`` and ``interval()``.  They take memory of that many
+            ``standard_deviation()`` and ``interval()``.  They take memory of that many
             predictions.
         seed : int
             Of the draws.

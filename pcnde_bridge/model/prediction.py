@@ -69,7 +69,7 @@ class Prediction:
         found = {"flow": self.flow, "area": self.area, "pressure": self.pressure}
         return {name: values for name, values in found.items() if values is not None}
 
-    def deviation(self) -> dict[str, Array]:
+    def standard_deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable's draws, (case, time, z).
 
         That of a sample, with one draw less in the denominator; of few draws it is uncertain.
@@ -100,7 +100,7 @@ class Prediction:
         if not isinstance(level, Real) or not 0 < level < 1:
             raise InputError(f"level must lie between 0 and 1, got {level!r}.")
         factor = NormalDist().inv_cdf((1 + level) / 2)
-        width = {name: factor * deviation for name, deviation in self.deviation().items()}
+        width = {name: factor * deviation for name, deviation in self.standard_deviation().items()}
         return {
             name: (values - width[name], values + width[name])
             for name, values in self.variables().items()
@@ -122,7 +122,7 @@ class Prediction:
             Columns of the labels, then ``time`` (s), ``z`` (cm), ``flow`` (mL/s),
             ``area`` (cm²), ``pressure`` (dyn/cm², if predicted) and
             ``area_undeformed`` (cm²); of a prediction with samples, also
-            ``flow_deviation`` and so on, in the same units.
+            ``flow_standard_deviation`` and so on, in the same units.
         """
         n_cases, n_times, n_points = self.flow.shape
         rows = np.repeat(np.arange(n_cases), n_times * n_points)
@@ -132,8 +132,8 @@ class Prediction:
         for name, values in self.variables().items():
             frame[name] = values.ravel()
         if self.samples is not None:
-            for name, values in self.deviation().items():
-                frame[f"{name}_deviation"] = values.ravel()
+            for name, values in self.standard_deviation().items():
+                frame[f"{name}_standard_deviation"] = values.ravel()
         frame["area_undeformed"] = np.repeat(self.area_undeformed, n_times, axis=0).ravel()
         return frame
 
