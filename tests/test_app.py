@@ -47,7 +47,7 @@ def model():
         members, np.array([0.5]), np.array([[0.01], [1e-4], [500.0]]) * np.ones(41), np.ones(3)
     )
     facts = {"cases": len(INFLOW)}
-    novelty = Novelty.of(INFLOW, AREA, Z)
+    novelty = Novelty.fit(INFLOW, AREA, Z)
     engine = select_engine("jax")
     return PCNDE(CONFIG, CORRECTED, GRID, engine, facts, (), uncertainty, novelty)
 
@@ -101,7 +101,7 @@ def test_controls_follow_the_training_data(model):
 
 
 def test_a_single_training_case_and_an_unknown_one_give_controls(model, bound):
-    novelty = Novelty.of(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
+    novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
     steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
     choices = Choices.of(steady)
     assert choices.first.waveform.samples(32) == pytest.approx(np.ones(32))

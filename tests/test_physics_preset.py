@@ -35,7 +35,7 @@ from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.training.closure_trainer import ClosureTrainer
 from pcnde_bridge.uncertainty.novelty import Novelty, OutsideTrainingWarning
-from pcnde_bridge.uncertainty.sampling import Chances, draw
+from pcnde_bridge.uncertainty.sampling import RandomNumbers, sample
 
 VARIABLES = ("flow", "area", "pressure")
 SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}
@@ -580,8 +580,9 @@ def test_a_draw_that_cannot_be_computed_is_told_from_the_prediction(model, cases
     inputs = INFLOW[:2], AREA[:2], model.grid
     mean = model.engine.closures.predict(model.parameters, np.zeros(2), *inputs, model.config)
     arguments = failing, model.parameters, model.uncertainty, mean, *inputs, model.config
+    numbers = RandomNumbers.generate(model.uncertainty, 8, 2, np.random.default_rng(0))
     with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):
-        draw(*arguments, Chances.draw(model.uncertainty, 8, 2, np.random.default_rng(0)))
+        sample(*arguments, numbers)
 
 
 def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):
@@ -644,7 +645,7 @@ def test_warning_points_at_the_caller(model):
 
 
 def test_score_knows_nothing_of_the_grid():
-    novelty = Novelty.of(INFLOW, AREA, Z)
+    novelty = Novelty.fit(INFLOW, AREA, Z)
     time = np.arange(100) / 100
     fine = np.linspace(0, 4, 401)
     wave = 1.4 * waves(time)[[1, 3]]
@@ -664,7 +665,7 @@ def test_score_knows_nothing_of_waves_that_instants_do_not_show():
         ripple = sum(0.02 * np.cos(k * phase) for k in range(7, highest + 1))
         return factors * (1 + 0.5 * np.cos(phase) + ripple)
 
-    novelty = Novelty.of(family(100, 12), area, Z)
+    novelty = Novelty.fit(family(100, 12), area, Z)
     assert novelty.score(family(100, 12), area, Z)[0].max() == pytest.approx(1.0)
     # What 16 instants show of these waves, without the eighth harmonic and those above.
     assert novelty.score(family(16, 7), area, Z)[0].max() == pytest.approx(1.0, abs=0.02)
@@ -672,7 +673,7 @@ def test_score_knows_nothing_of_waves_that_instants_do_not_show():
 
 
 def test_single_training_case_has_an_inside():
-    novelty = Novelty.of(INFLOW[:1], AREA[:1], Z)
+    novelty = Novelty.fit(INFLOW[:1], AREA[:1], Z)
     assert np.concatenate(novelty.score(INFLOW[:1], AREA[:1], Z)).max() < 1e-9
     assert novelty.score(1.1 * INFLOW[:1], AREA[:1], Z)[0][0] > 1
 

@@ -299,7 +299,7 @@ class Ensemble:
             means[name] = values.mean(axis=0)
             away = values - means[name]
             spread = values.std(axis=0, ddof=1)
-            wanted = self.calibration.deviation(name, spread, first.z)
+            wanted = self.calibration.standard_deviation(name, spread, first.z)
             # Where the members agree to the last digits, they point nowhere.
             agree = spread <= 1e-12 * np.abs(means[name])
             away = np.where(agree, _directions(count)[:, None, None, None], away)

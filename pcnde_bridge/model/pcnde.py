@@ -50,9 +50,9 @@ from pcnde_bridge.uncertainty.novelty import (
     OutsideTrainingWarning,
 )
 from pcnde_bridge.uncertainty.sampling import (
-    Chances,
+    RandomNumbers,
     Uncertainty,
-    draw,
+    sample,
 )
 
 FORMAT, FORMAT_VERSION = "pcnde-model", 1
@@ -183,7 +183,7 @@ class PCNDE:
             {**provenance(cases, engine, seed), **trained.facts},
             trained.history,
             trained.uncertainty,
-            Novelty.of(cases.inflow, cases.area_undeformed, cases.z),
+            Novelty.fit(cases.inflow, cases.area_undeformed, cases.z),
         )
 
     @classmethod
@@ -305,8 +305,8 @@ class PCNDE:
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             return self._predict_cases(inflow, samples, seed)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        chances, score = self._chances(samples, seed, len(q)), self._score(q, s_u, grid)
-        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, chances)
+        numbers, score = self._random_numbers(samples, seed, len(q)), self._score(q, s_u, grid)
+        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, numbers)
 
     def predict_batches(
         self,
@@ -373,7 +373,7 @@ class PCNDE:
         """Predict as :meth:`predict_batches` does, and warn its caller or nobody."""
         batch = whole("batch", batch, 1)
         q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        chances, score = self._chances(samples, seed, len(q)), self._score(q, s_u, grid)
+        numbers, score = self._random_numbers(samples, seed, len(q)), self._score(q, s_u, grid)
         if warns:
             self._warn(score, q, s_u, grid, level=4)
 
@@ -382,7 +382,7 @@ class PCNDE:
                 rows = slice(start, min(start + batch, len(q)))
                 labels = _numbered(rows.start, rows.stop)
                 novelty = None if score is None else score[rows]
-                some = None if chances is None else chances.of(rows)
+                some = None if numbers is None else numbers.select(rows)
                 try:
                     yield self._predict(q[rows], s_u[rows], grid, labels, novelty, some)
                 except SolveError as error:
@@ -425,8 +425,8 @@ class PCNDE:
         inputs = cases.inflow, cases.area_undeformed
         score = self._score(*inputs, grid)
         labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
-        chances = self._chances(samples, seed, len(cases))
-        return self._predict(*inputs, grid, labels, score, chances)
+        numbers = self._random_numbers(samples, seed, len(cases))
+        return self._predict(*inputs, grid, labels, score, numbers)
 
     @property
     def any_grid(self) -> bool:
@@ -456,7 +456,7 @@ class PCNDE:
         time = self.grid.time[0] + np.arange(float(n_times)) * (cycle / n_times)
         return Grid(time, points, cycle)
 
-    def _chances(self, samples: int, seed: int, count: int) -> Chances | None:
+    def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
         """Random numbers of the draws for all cases, or None for no draws."""
         samples, seed = whole("samples", samples), whole("seed", seed)
         if samples == 0:
@@ -468,7 +468,7 @@ class PCNDE:
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
                 "'physics' (and correction.folds > 0)."
             )
-        return Chances.draw(self.uncertainty, samples, count, np.random.default_rng(seed))
+        return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
 
     def _predict(
         self,
@@ -477,23 +477,23 @@ class PCNDE:
         grid: Grid,
         labels: pd.DataFrame,
         score: Array | None,
-        chances: Chances | None,
+        numbers: RandomNumbers | None,
     ) -> Prediction:
         args = inflow, area_undeformed, grid
         solution = recipes.predict(self.engine, self.config, self.parameters, *args)
         drawn = None
-        if chances is not None:
+        if numbers is not None:
             assert self.uncertainty is not None
             assert isinstance(self.config, ClosureConfig)
             assert isinstance(self.parameters, ClosureParameters)
-            drawn = draw(
+            drawn = sample(
                 self.engine.closures,
                 self.parameters,
                 self.uncertainty,
                 solution,
                 *args,
                 self.config,
-                chances,
+                numbers,
             )
         return Prediction(
             *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn

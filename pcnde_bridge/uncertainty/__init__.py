@@ -1,6 +1,6 @@
 """Uncertainty of a prediction: calibrated samples, and the distance from the training data.
 
-The training uses it to calibrate a model, and the model to draw samples.
+Training calibrates a model's uncertainty here, and the model draws samples with it.
 """
 
 from pcnde_bridge.uncertainty.calibration import Calibration

@@ -1,12 +1,12 @@
-r"""How far predictions may be off, found on cases that were left out.
+r"""Calibration of standard deviations on cases that were left out of a fit.
 
 The standard deviation of a variable is
 
 .. math:: \sigma = c \sqrt{s^2 + e(z)^2},
 
-with s the deviation among several predictions, e(z) an error along the vessel that all of
+with s the spread among several predictions, e(z) an error along the vessel that all of
 them share, and c a factor.  On the cases left out, e(z) is the 68 % quantile of the errors
-at each point, and c makes 90 % intervals hold 90 % of the values.
+at each point, and c is chosen so that 90 % intervals contain 90 % of the values.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 
-_LEAST = 1e-12
+_NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What makes a standard deviation of the deviation among predictions.
+    """Factors that turn the spread among predictions into a standard deviation.
 
     Attributes
     ----------
     profile : array of shape (3, point)
-        e(z) of flow, area and pressure, equally spaced from inlet to outlet.
+        Shared error e(z) of flow, area and pressure at points equally spaced from inlet
+        to outlet.
     scale : array of shape (3,)
-        c of flow, area and pressure.
+        Factor c of flow, area and pressure.
     """
 
     profile: Array
@@ -40,38 +41,38 @@ class Calibration:
 
     @classmethod
     def fit(cls, profile: Array, error: Array, spread: Array) -> Calibration:
-        """Find the factors.
+        """Find the factors that make 90 % intervals contain 90 % of the values.
 
         Parameters
         ----------
         profile : array of shape (3, z)
-            Of :func:`shared_error`.
+            Result of :func:`shared_error`.
         error, spread : array of shape (3, case, time, z)
-            Absolute errors of the cases left out, and s.
+            Absolute errors of the cases left out, and the spread s of their predictions.
         """
         width = np.hypot(spread, profile[:, None, None])
         return cls(profile, np.array([_factor(*pair) for pair in zip(error, width, strict=True)]))
 
-    def shared(self, variable: str, z: Array) -> Array:
-        """Return e at the points z, cm."""
-        along = np.linspace(0, 1, self.profile.shape[1])
+    def shared_error(self, variable: str, z: Array) -> Array:
+        """Return e(z) of a variable at points z (cm), shape (z,)."""
+        relative = np.linspace(0, 1, self.profile.shape[1])
         profile = self.profile[VARIABLES.index(variable)]
-        shared: Array = np.interp((z - z[0]) / (z[-1] - z[0]), along, profile)
-        return shared
+        error: Array = np.interp((z - z[0]) / (z[-1] - z[0]), relative, profile)
+        return error
 
-    def deviation(self, variable: str, spread: Array, z: Array) -> Array:
-        """Return σ of s, both (case, time, z)."""
+    def standard_deviation(self, variable: str, spread: Array, z: Array) -> Array:
+        """Return σ for the spread s of a variable, both of shape (case, time, z)."""
         scale = self.scale[VARIABLES.index(variable)]
-        deviation: Array = scale * np.hypot(spread, self.shared(variable, z))
-        return deviation
+        sigma: Array = scale * np.hypot(spread, self.shared_error(variable, z))
+        return sigma
 
     def check(self) -> None:
-        """Raise if the arrays do not belong together, or are no deviations.
+        """Check shapes and values.
 
         Raises
         ------
         InputError
-            Saying what their shapes are, or that a value is negative or not finite.
+            If the shapes do not belong together, or a value is negative or not finite.
         """
         n, shape = len(VARIABLES), self.profile.shape
         if self.scale.shape != (n,) or len(shape) != 2 or shape[0] != n or shape[1] == 0:
@@ -79,21 +80,21 @@ class Calibration:
                 f"The calibration's arrays do not belong together: {shape}, {self.scale.shape}."
             )
         if not all(((array >= 0) & (array < np.inf)).all() for array in (self.profile, self.scale)):
-            raise InputError("The calibration holds values that are negative or not finite.")
+            raise InputError("The calibration has values that are negative or not finite.")
 
 
 def shared_error(error: Array) -> Array:
-    """Return e(z), (3, z), of absolute errors (3, case, time, z)."""
+    """Return e(z), shape (3, z), of absolute errors, shape (3, case, time, z)."""
     return np.quantile(error, 0.68, axis=(1, 2))
 
 
 def _factor(error: Array, width: Array) -> float:
-    """Factor on deviations with which normal 90 % intervals hold 90 % of the errors.
+    """Return the factor with which normal 90 % intervals contain 90 % of the errors.
 
-    Where these are zero the values are known, as the flow at the inlet, and do not count.
+    Values of zero width are known, such as the flow at the inlet, and do not count.
     """
-    inside = width > _LEAST
-    if not inside.any():
+    uncertain = width > _NEGLIGIBLE
+    if not uncertain.any():
         return 0.0
-    normal = NormalDist().inv_cdf(0.95)  # 90 % lie within so many deviations
-    return float(np.quantile(error[inside] / width[inside], 0.9)) / normal
+    normal = NormalDist().inv_cdf(0.95)  # half width of a 90 % interval in standard deviations
+    return float(np.quantile(error[uncertain] / width[uncertain], 0.9)) / normal

@@ -1,10 +1,10 @@
-"""Whether an input lies outside the training data, with a score.
+"""Distance of an input from the training data, as a score.
 
-Inflow and area profile are each described by few numbers that do not depend on the
+Inflow and area profile are each described by a few numbers that do not depend on the
 grid, and compared with the box that the training cases fill in their principal
-components.  The score is 1 at the edge of the box: 1.2 is a fifth of its half width
-beyond it.  What the components cannot describe at all counts against the largest such
-remainder of the training cases, but at least 2 % of their size.
+components.  The score is 1 at the edge of the box, and 1.2 a fifth of its half width
+beyond the edge.  The remainder that the components cannot describe is compared with the
+largest remainder of the training cases, but at least with 2 % of their size.
 """
 
 from __future__ import annotations
@@ -20,33 +20,77 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
 EDGE = 1 + 1e-6
-"""Scores beyond are outside; a little above 1, as the training cases may be resampled."""
+"""Score beyond which an input is outside; a little above 1, as inputs may be resampled."""
 
 _HARMONICS = 12
-_PLACES = 101
-_KEPT = 1e-3
-_TOLERATED = 0.02
-_TOGETHER = 256  # cases, whose descriptions fit the processor's cache
+_PLACES = 101  # equally spaced points of an area's description
+_SMALLEST_COMPONENT = 1e-3  # relative to the size of all descriptions
+_TOLERATED = 0.02  # remainder relative to the size of a description
+_CHUNK = 256  # cases whose descriptions fit the processor's cache
 
 
 class OutsideTrainingWarning(PCNDEWarning):
     """An input of a prediction lies outside the training data."""
 
 
+class _Box(NamedTuple):
+    """Box that the training cases' descriptions fill in their principal components.
+
+    Attributes
+    ----------
+    center : array of shape (n,)
+        Mean of the descriptions.
+    axes : array of shape (k, n)
+        Principal components.
+    range : array of shape (2, k)
+        Middle and half width along each component.
+    rest : array of shape (1,)
+        Tolerated size of the remainder.
+    """
+
+    center: Array
+    axes: Array
+    range: Array
+    rest: Array
+
+    @classmethod
+    def fit(cls, described: Array) -> _Box:
+        """Find the box of descriptions of shape (case, n)."""
+        center = described.mean(axis=0)
+        _, sizes, axes = np.linalg.svd(described - center, full_matrices=False)
+        axes = axes[sizes > _SMALLEST_COMPONENT * max(float(np.linalg.norm(described)), 1e-300)]
+        along = (described - center) @ axes.T
+        low, high = along.min(axis=0), along.max(axis=0)
+        span = np.stack([(low + high) / 2, (high - low) / 2])
+        rest = np.linalg.norm(described - center - along @ axes, axis=1).max()
+        tolerated = max(float(rest), _TOLERATED * float(np.linalg.norm(center)))
+        return cls(center, axes, span, np.array([tolerated]))
+
+    def ends(self) -> Array:
+        """Return the descriptions at both limits of the first component, shape (2, n)."""
+        if not len(self.axes):  # a single training case
+            return np.stack([self.center, self.center])
+        limits = self.range[0, 0] + np.array([[-1.0], [1.0]]) * self.range[1, 0]
+        ends: Array = self.center + limits * self.axes[0]
+        return ends
+
+
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """The training cases' box, of inflow and of area.
+    """Box of the training cases' inflows and areas, which scores other inputs.
+
+    Model files store the attributes under these names.
 
     Attributes
     ----------
     inflow_centre, area_centre : array of shape (n,)
-        Middle of the descriptions.
+        Mean of the descriptions.
     inflow_axes, area_axes : array of shape (k, n)
         Principal components.
     inflow_range, area_range : array of shape (2, k)
-        Middle and half width along each.
+        Middle and half width along each component.
     inflow_rest, area_rest : array of shape (1,)
-        Tolerated size of what the components leave.
+        Tolerated size of the remainder.
     """
 
     inflow_centre: Array
@@ -59,43 +103,71 @@ class Novelty:
     area_rest: Array
 
     @classmethod
-    def of(cls, inflow: Array, area_undeformed: Array, z: Array) -> Novelty:
-        """Find the box of the training cases: Q_in (case, time), S_u (case, z), z (z,)."""
-        return cls(*_box(_harmonics(inflow)), *_box(_profile(area_undeformed, z)))
+    def fit(cls, inflow: Array, area_undeformed: Array, z: Array) -> Novelty:
+        """Find the box of the training cases.
+
+        Parameters
+        ----------
+        inflow : array of shape (case, time)
+            Q at the inlet, mL/s, over one cycle.
+        area_undeformed : array of shape (case, z)
+            S_u, cm².
+        z : array of shape (z,)
+            Points, cm.
+        """
+        harmonics = inflow @ _harmonic_analysis(inflow.shape[1])
+        interpolation, length = _interpolation(z)
+        profiles = np.sqrt(area_undeformed) @ interpolation + length
+        return cls(*_Box.fit(harmonics), *_Box.fit(profiles))
 
     def __iter__(self) -> Iterator[tuple[str, Array]]:
         return ((f.name, getattr(self, f.name)) for f in fields(self))
 
+    @property
+    def _boxes(self) -> dict[str, _Box]:
+        arrays = [array for _, array in self]
+        return {"inflow": _Box(*arrays[:4]), "area": _Box(*arrays[4:])}
+
     def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
-        """Score of each case's inflow and of its area, (case,) each; beyond 1 is outside."""
+        """Score each case's inflow and area; values beyond 1 are outside the training data.
+
+        Parameters
+        ----------
+        inflow, area_undeformed, z
+            Inputs as for :meth:`fit`, on any grid.
+
+        Returns
+        -------
+        tuple of two arrays of shape (case,)
+            Scores of the inflow and of the area.
+        """
         of_inflow, of_area = _inflow_scale(self, inflow.shape[1]), _area_scale(self, z.tobytes())
         scores = np.empty((2, len(inflow)))
-        for start in range(0, len(inflow), _TOGETHER):
-            rows = slice(start, start + _TOGETHER)
+        for start in range(0, len(inflow), _CHUNK):
+            rows = slice(start, start + _CHUNK)
             scores[0, rows] = of_inflow.score(inflow[rows])
             scores[1, rows] = of_area.score(np.sqrt(area_undeformed[rows]))
         return scores[0], scores[1]
 
     def inflow_ends(self, n_times: int) -> Array:
-        """Both ends of the training inflows along their first component.
+        """Return both ends of the training inflows along their first component.
 
         Parameters
         ----------
         n_times : int
-            Equal steps of one cycle, from the training cases' first instant.
+            Number of equal steps of one cycle, from the training cases' first time point.
 
         Returns
         -------
         array of shape (2, n_times)
-            Q_in, mL/s, of the harmonics that the description keeps.
+            Q_in, mL/s, from the harmonics of the description.
         """
-        ends = _ends(self.inflow_centre, self.inflow_axes, self.inflow_range)
-        real, imaginary = np.split(ends, 2, axis=1)
+        real, imaginary = np.split(self._boxes["inflow"].ends(), 2, axis=1)
         inflow: Array = np.fft.irfft((real + 1j * imaginary) * n_times, n=n_times, axis=1)
         return inflow
 
     def area_ends(self, z: Array) -> Array:
-        """Both ends of the training vessels along their first component.
+        """Return both ends of the training vessels along their first component.
 
         Parameters
         ----------
@@ -107,58 +179,45 @@ class Novelty:
         array of shape (2, z)
             S_u, cm².
         """
-        at = np.linspace(0, 1, _PLACES)
+        relative = np.linspace(0, 1, _PLACES)
         place = (z - z[0]) / (z[-1] - z[0])
-        ends = _ends(self.area_centre, self.area_axes, self.area_range)
-        return np.array([np.interp(place, at, end[:_PLACES]) ** 2 for end in ends])
+        ends = self._boxes["area"].ends()
+        return np.array([np.interp(place, relative, end[:_PLACES]) ** 2 for end in ends])
 
     def check(self) -> None:
-        """Raise if the arrays do not belong together.
+        """Check shapes and values.
 
         Raises
         ------
         InputError
-            Naming the part.
+            If a value is not finite, or the arrays of inflow or area do not belong together.
         """
         for name, array in self:
             if not np.isfinite(array).all():
-                raise InputError(f"The novelty's {name} holds values that are not finite.")
-        for part in ("inflow", "area"):
-            centre, axes, span, rest = (
-                getattr(self, f"{part}_{name}") for name in ("centre", "axes", "range", "rest")
-            )
-            if not (
-                centre.ndim == 1
-                and axes.shape[1:] == centre.shape
-                and span.shape == (2, len(axes))
-                and rest.shape == (1,)
-            ):
-                raise InputError(f"The novelty's arrays of {part} do not belong together.")
+                raise InputError(f"The novelty's {name} has values that are not finite.")
+        for name, box in self._boxes.items():
+            shapes = [array.shape for array in box]
+            n, k = box.center.size, len(box.axes)
+            if shapes != [(n,), (k, n), (2, k), (1,)]:
+                raise InputError(f"The novelty's arrays of {name} do not belong together.")
 
 
-def _harmonics(inflow: Array) -> Array:
-    """Fourier coefficients of the first harmonics, real and imaginary: (case, n)."""
-    described: Array = inflow @ _analysis(inflow.shape[1])
-    return described
+def _harmonic_analysis(n_times: int) -> Array:
+    """Return the matrix (time, n) that gives the first harmonics, real and imaginary parts.
 
-
-def _analysis(n_times: int) -> Array:
-    """Matrix (time, n) of those coefficients; they are 0 from Nyquist's frequency on."""
+    Coefficients from Nyquist's frequency on are 0.
+    """
     harmonic = np.arange(_HARMONICS + 1)
     phase = 2 * np.pi / n_times * (np.arange(n_times)[:, None] * harmonic % n_times)
     waves = np.stack([np.cos(phase), -np.sin(phase)], axis=1) * (harmonic < n_times / 2)
     return waves.reshape(n_times, -1) / n_times
 
 
-def _profile(area_undeformed: Array, z: Array) -> Array:
-    """Radius, up to √π, at equally spaced places, and the length: (case, n)."""
-    matrix, length = _interpolation(z)
-    described: Array = np.sqrt(area_undeformed) @ matrix + length
-    return described
-
-
 def _interpolation(z: Array) -> tuple[Array, Array]:
-    """Matrix (z, n) of linear interpolation to equally spaced places, and the length (n,)."""
+    """Return the matrix (z, n) that interpolates to equally spaced places, and the length (n,).
+
+    Applied to √S_u, the radius up to √π, their sum describes a vessel.
+    """
     place = (z - z[0]) / (z[-1] - z[0])
     at = np.linspace(0, 1, _PLACES)
     after = np.clip(np.searchsorted(place, at), 1, z.size - 1)
@@ -169,31 +228,11 @@ def _interpolation(z: Array) -> tuple[Array, Array]:
     return matrix, np.append(np.zeros(_PLACES), z[-1] - z[0])
 
 
-def _box(described: Array) -> tuple[Array, Array, Array, Array]:
-    centre = described.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(described - centre, full_matrices=False)
-    axes = axes[sizes > _KEPT * max(float(np.linalg.norm(described)), 1e-300)]
-    along = (described - centre) @ axes.T
-    low, high = along.min(axis=0), along.max(axis=0)
-    rest = np.linalg.norm(described - centre - along @ axes, axis=1).max()
-    tolerated = max(float(rest), _TOLERATED * float(np.linalg.norm(centre)))
-    return centre, axes, np.stack([(low + high) / 2, (high - low) / 2]), np.array([tolerated])
-
-
-def _ends(centre: Array, axes: Array, span: Array) -> Array:
-    """Descriptions at the lower and upper limit of the first component, (2, n)."""
-    if not len(axes):  # a single training case
-        return np.stack([centre, centre])
-    limits = span[0, 0] + np.array([[-1.0], [1.0]]) * span[1, 0]
-    ends: Array = centre + limits * axes[0]
-    return ends
-
-
 class _Scale(NamedTuple):
-    """How scores are read from inputs on one grid: ``x @ matrix − offset``.
+    """Affine map from inputs on one grid to scores, ``x @ matrix − offset``.
 
-    The first ``n_axes`` numbers are the components, in half widths from the middle of the box;
-    the others are what these leave, in what is tolerated.
+    The first ``n_axes`` results are the components, in half widths from the middle of the
+    box; the others are the remainder, relative to the tolerated remainder.
     """
 
     matrix: Array
@@ -201,7 +240,7 @@ class _Scale(NamedTuple):
     n_axes: int
 
     def score(self, x: Array) -> Array:
-        """Score of each row."""
+        """Return the score of each row."""
         moved = x @ self.matrix - self.offset
         beyond, left = np.abs(moved[:, : self.n_axes]), moved[:, self.n_axes :]
         size = np.sqrt(np.einsum("ij,ij->i", left, left))
@@ -209,27 +248,23 @@ class _Scale(NamedTuple):
         return score
 
 
-def _scale(
-    matrix: Array, constant: Array | float, centre: Array, axes: Array, span: Array, rest: Array
-) -> _Scale:
-    """Make the scale for inputs that ``x @ matrix + constant`` describes."""
-    remainder = np.eye(centre.size) - axes.T @ axes
-    directions = np.concatenate([axes.T / span[1], remainder / rest[0]], axis=1)
-    offset = (centre - constant) @ directions
-    offset[: len(axes)] += span[0] / span[1]
-    return _Scale(matrix @ directions, offset, len(axes))
+def _scale(matrix: Array, constant: Array, box: _Box) -> _Scale:
+    """Return the scale for inputs whose description is ``x @ matrix + constant``."""
+    remainder = np.eye(box.center.size) - box.axes.T @ box.axes
+    directions = np.concatenate([box.axes.T / box.range[1], remainder / box.rest[0]], axis=1)
+    offset = (box.center - constant) @ directions
+    offset[: len(box.axes)] += box.range[0] / box.range[1]
+    return _Scale(matrix @ directions, offset, len(box.axes))
 
 
 @lru_cache(maxsize=8)
-def _inflow_scale(of: Novelty, n_times: int) -> _Scale:
-    box = of.inflow_centre, of.inflow_axes, of.inflow_range, of.inflow_rest
-    analysis = _analysis(n_times)
-    # Harmonics that so few instants do not show are taken to be the usual ones.
-    unseen = np.where(analysis.any(axis=0), 0.0, of.inflow_centre)
-    return _scale(analysis, unseen, *box)
+def _inflow_scale(novelty: Novelty, n_times: int) -> _Scale:
+    analysis, box = _harmonic_analysis(n_times), novelty._boxes["inflow"]
+    # Harmonics above Nyquist's frequency count as those of the mean inflow.
+    unseen = np.where(analysis.any(axis=0), 0.0, box.center)
+    return _scale(analysis, unseen, box)
 
 
 @lru_cache(maxsize=8)
-def _area_scale(of: Novelty, points: bytes) -> _Scale:
-    box = of.area_centre, of.area_axes, of.area_range, of.area_rest
-    return _scale(*_interpolation(np.frombuffer(points)), *box)
+def _area_scale(novelty: Novelty, points: bytes) -> _Scale:
+    return _scale(*_interpolation(np.frombuffer(points)), novelty._boxes["area"])

@@ -1,16 +1,16 @@
-r"""How far a prediction of the ``physics`` preset may be off.
+r"""Samples of predictions of the ``physics`` preset, with a calibrated spread.
 
-Three things make a draw of a prediction:
+Three random quantities make a sample of a prediction:
 
-- the correction of one of the fits that left out a part of the training cases (whole
-  geometries, or whole waveforms), drawn at random: what the data do not decide;
-- a normal shift of the correction's logit, the same for a whole case: cases differ in
-  how much of the storage the averaged flow hides, and nothing in the inputs says so;
-- a normal multiple of a profile along the vessel, for each variable: what is left where
-  the correction does nothing.
+- the correction of one of the fits that left out a fold of the training cases (whole
+  geometries or whole waveforms), chosen at random, because the data do not determine it;
+- a normal shift of the correction's logit, the same for a whole case, because cases differ
+  in how much of the storage the averaged flow hides, and the inputs do not show it;
+- a normal multiple of an error profile along the vessel, one for each variable, for the
+  errors that remain where the correction has no effect.
 
-The width of the last two is found on the cases that each fit had left out
-(:mod:`pcnde_bridge.uncertainty.calibration`), with the shift that leads to the narrowest intervals.
+The widths of the last two are calibrated on the cases that each fit left out
+(:mod:`pcnde_bridge.uncertainty.calibration`), with the shift that gives the narrowest intervals.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
@@ -36,22 +35,22 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
-_DRAWS = 12
-_LEAST = 1e-12
+_CALIBRATION_SAMPLES = 12
+_NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What the draws are made of.
+    """Distribution of the samples of a prediction.
 
     Attributes
     ----------
     members : array of shape (member, n)
-        Parameters of the correction, a row for each fit that left out a part.
+        Parameters of the correction, one row for each fit that left out a fold.
     shift : array of shape (1,)
         Standard deviation of the logit's shift.
     profile, scale : arrays of shape (3, point) and (3,)
-        As of :class:`~pcnde_bridge.uncertainty.calibration.Calibration`.
+        Attributes of :class:`~pcnde_bridge.uncertainty.calibration.Calibration`.
     """
 
     members: Array
@@ -68,51 +67,56 @@ class Uncertainty:
         return Calibration(self.profile, self.scale)
 
     def check(self, width: int) -> None:
-        """Raise if the arrays do not belong together, or to a correction of ``width`` numbers.
+        """Check shapes and values.
+
+        Parameters
+        ----------
+        width : int
+            Number of parameters of the correction.
 
         Raises
         ------
         InputError
-            Saying what their shapes are, or which is not finite.
+            If the shapes do not belong together, or a value is not finite.
         """
         self.calibration.check()
         for name in ("members", "shift"):
             if not np.isfinite(getattr(self, name)).all():
-                raise InputError(f"The uncertainty's {name} holds values that are not finite.")
+                raise InputError(f"The uncertainty's {name} has values that are not finite.")
         shapes = {name: array.shape for name, array in self}
         if shapes["members"][1:] != (width,) or shapes["shift"] != (1,):
             raise InputError(f"The uncertainty's arrays do not belong together: {shapes}.")
 
 
-class Chances(NamedTuple):
-    """The random numbers of some draws: those of few cases are the same as among many.
+class RandomNumbers(NamedTuple):
+    """Random numbers of the samples; a case's numbers do not depend on the batch it is in.
 
     Attributes
     ----------
     member : array of int of shape (sample,)
-        Which fit's correction.
+        Index of the fit that gives the correction.
     shift : array of shape (sample, case)
-        Of the correction's logit.
+        Shift of the correction's logit.
     noise : array of shape (3, sample, case)
-        Multiples of the profiles of flow, area and pressure.
+        Multiples of the error profiles of flow, area and pressure.
     """
 
-    member: npt.NDArray[np.int64]
+    member: IntArray
     shift: Array
     noise: Array
 
     @classmethod
-    def draw(
+    def generate(
         cls, uncertainty: Uncertainty, samples: int, count: int, rng: np.random.Generator
-    ) -> Chances:
-        """Draw them for ``count`` cases."""
+    ) -> RandomNumbers:
+        """Generate the numbers for ``samples`` samples of ``count`` cases."""
         member = rng.integers(len(uncertainty.members), size=samples)
         shift = uncertainty.shift[0] * rng.standard_normal((samples, count))
         return cls(member, shift, rng.standard_normal((len(VARIABLES), samples, count)))
 
-    def of(self, cases: slice) -> Chances:
-        """Those of some of the cases."""
-        return Chances(self.member, self.shift[:, cases], self.noise[:, :, cases])
+    def select(self, cases: slice) -> RandomNumbers:
+        """Return the numbers of a range of cases."""
+        return RandomNumbers(self.member, self.shift[:, cases], self.noise[:, :, cases])
 
 
 def calibrate(
@@ -124,45 +128,67 @@ def calibrate(
     config: ClosureConfig,
     rng: np.random.Generator,
 ) -> Uncertainty:
-    """Find profile, shift and scale on the cases that each member's fit left out."""
-    grid = cases.grid
-    normal = rng.standard_normal((_DRAWS, max(len(part) for part in left_out)))
+    """Find profile, shift and scale on the cases that each member's fit left out.
+
+    Parameters
+    ----------
+    closures : Closures
+        Engine of the predictions.
+    parameters : ClosureParameters
+        Closures fitted to all cases.
+    members : sequence of arrays of shape (n,)
+        Correction of each fit that left out a fold.
+    left_out : sequence of arrays of int
+        Positions of the cases that each of these fits left out.
+    cases, config
+        Training cases and settings.
+    rng : Generator
+        Source of the random shifts.
+    """
+    normal = rng.standard_normal((_CALIBRATION_SAMPLES, max(len(fold) for fold in left_out)))
     errors: list[Array] = []
     spreads: dict[float, list[Array]] = {shift: [] for shift in _SHIFTS}
-    for member, part in zip(members, left_out, strict=True):
-        held = cases.select(part)
-        vectors = parameters.replace(correction=member)
-
-        def predict(
-            shift: Array, held: Cases = held, vectors: ClosureParameters = vectors
-        ) -> list[Array]:
-            """Flow, area and pressure, each (draw, case, time, z), with shifts (draw, case)."""
-            inflow, s_u = (np.tile(a, (len(shift), 1)) for a in (held.inflow, held.area_undeformed))
-            solution = closures.predict(vectors, shift.ravel(), inflow, s_u, grid, config)
-            return [getattr(solution, name).reshape(-1, *held.flow.shape) for name in VARIABLES]
-
-        plain, true = predict(np.zeros((1, len(held)))), (getattr(held, n) for n in VARIABLES)
-        errors.append(np.abs([values[0] - t for values, t in zip(plain, true, strict=True)]))
+    for member, fold in zip(members, left_out, strict=True):
+        truth, fitted = cases.select(fold), parameters.replace(correction=member)
+        inputs = truth.inflow, truth.area_undeformed, truth.grid, config
+        plain = _predict(closures, fitted, np.zeros((1, len(truth))), *inputs)
+        errors.append(np.abs([plain[name][0] - getattr(truth, name) for name in VARIABLES]))
         spreads[0.0].append(np.zeros_like(errors[-1]))
         for shift in _SHIFTS[1:]:
-            draws = predict(shift * normal[:, : len(held)])
-            spreads[shift].append(np.stack([values.std(axis=0, ddof=1) for values in draws]))
+            samples = _predict(closures, fitted, shift * normal[:, : len(truth)], *inputs)
+            spreads[shift].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
     error = np.concatenate(errors, axis=1)
-    profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _LEAST
-
-    def calibrated(spread: Array) -> tuple[float, Calibration]:
-        """Mean widths of the intervals, in terms of the errors and summed, and what gives them."""
+    profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
+    found: list[tuple[float, float, Calibration]] = []
+    for shift, parts in spreads.items():
+        spread = np.concatenate(parts, axis=1)
         calibration = Calibration.fit(profile, error, spread)
         width = calibration.scale * np.hypot(spread, profile[:, None, None]).mean(axis=(1, 2, 3))
-        return float(np.sum(width / size)), calibration
-
-    found = {shift: calibrated(np.concatenate(of, axis=1)) for shift, of in spreads.items()}
-    best = min(_SHIFTS, key=lambda shift: found[shift][0])
-    _, calibration = found[best]
-    return Uncertainty(np.array(members), np.array([best]), calibration.profile, calibration.scale)
+        found.append((float(np.sum(width / size)), shift, calibration))
+    # The intervals are compared by their mean widths in terms of the errors.
+    _, shift, best = min(found, key=lambda entry: entry[0])
+    return Uncertainty(np.array(members), np.array([shift]), best.profile, best.scale)
 
 
-def draw(
+def _predict(
+    closures: Closures,
+    parameters: ClosureParameters,
+    shift: Array,
+    inflow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    config: ClosureConfig,
+) -> dict[str, Array]:
+    """Predict flow, area and pressure (sample, case, time, z) with shifts (sample, case)."""
+    inflow, area_undeformed = (
+        np.tile(array, (len(shift), 1)) for array in (inflow, area_undeformed)
+    )
+    solution = closures.predict(parameters, shift.ravel(), inflow, area_undeformed, grid, config)
+    shape = *shift.shape, grid.time.size, grid.z.size
+    return {name: getattr(solution, name).reshape(shape) for name in VARIABLES}
+
+
+def sample(
     closures: Closures,
     parameters: ClosureParameters,
     uncertainty: Uncertainty,
@@ -171,9 +197,26 @@ def draw(
     area_undeformed: Array,
     grid: Grid,
     config: ClosureConfig,
-    chances: Chances,
+    numbers: RandomNumbers,
 ) -> dict[str, Array]:
-    """Compute the draws of predictions.
+    """Compute samples of predictions.
+
+    Parameters
+    ----------
+    closures : Closures
+        Engine of the predictions.
+    parameters : ClosureParameters
+        Closures fitted to all training cases.
+    uncertainty : Uncertainty
+        Distribution of the samples.
+    mean : Solution
+        Prediction without random numbers, shape (case, time, z).
+    inflow, area_undeformed : arrays of shape (case, time) and (case, z)
+        Q_in, mL/s, and S_u, cm².
+    grid, config
+        Grid of the inputs and settings of the model.
+    numbers : RandomNumbers
+        Random numbers of all samples.
 
     Returns
     -------
@@ -183,39 +226,33 @@ def draw(
     Raises
     ------
     SolveError
-        If a draw cannot be computed.
+        If a sample cannot be computed.
     """
-    count = len(inflow)
-    calibration = uncertainty.calibration
-    found = {name: np.empty((len(chances.member), *mean.flow.shape)) for name in VARIABLES}
-    largest = int(np.bincount(chances.member).max(initial=0))
+    inputs = inflow, area_undeformed, grid, config
+    found = {name: np.empty((len(numbers.member), *mean.flow.shape)) for name in VARIABLES}
+    largest = int(np.bincount(numbers.member).max(initial=0))
     for number, member in enumerate(uncertainty.members):
-        rows = np.flatnonzero(chances.member == number)
+        rows = np.flatnonzero(numbers.member == number)
         if rows.size == 0:
             continue
-        # As many draws of each member, some of them twice: another number is compiled anew.
+        # Repeated up to the same number for each member, so that one shape is compiled.
         rows = np.resize(rows, largest)
+        fitted = parameters.replace(correction=member)
         try:
-            solution = closures.predict(
-                parameters.replace(correction=member),
-                chances.shift[rows].ravel(),
-                np.tile(inflow, (rows.size, 1)),
-                np.tile(area_undeformed, (rows.size, 1)),
-                grid,
-                config,
-            )
+            samples = _predict(closures, fitted, numbers.shift[rows], *inputs)
         except SolveError as error:
             raise SolveError(
-                f"The prediction has been computed, but not all of its samples. Of these, each "
-                f"with {counted(count, 'case')}, one after the other: {error}"
+                "The prediction has been computed, but not all of its samples. Of these, each "
+                f"with {counted(len(inflow), 'case')}, one after the other: {error}"
             ) from error
-        for name in VARIABLES:
-            found[name][rows] = getattr(solution, name).reshape(rows.size, *mean.flow.shape)
+        for name, values in samples.items():
+            found[name][rows] = values
+    calibration = uncertainty.calibration
     for number, name in enumerate(VARIABLES):
-        centre = getattr(mean, name)
-        shared = calibration.shared(name, grid.z)
-        found[name] -= centre
-        found[name] += chances.noise[number, :, :, None, None] * shared
+        center = getattr(mean, name)
+        found[name] -= center
+        noise = numbers.noise[number, :, :, None, None]
+        found[name] += noise * calibration.shared_error(name, grid.z)
         found[name] *= calibration.scale[number]
-        found[name] += centre
+        found[name] += center
     return found

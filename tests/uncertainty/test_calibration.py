@@ -16,10 +16,10 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Solution
 from pcnde_bridge.uncertainty.calibration import Calibration
 from pcnde_bridge.uncertainty.sampling import (
-    Chances,
+    RandomNumbers,
     Uncertainty,
     calibrate,
-    draw,
+    sample,
 )
 
 GRID = Grid(np.arange(4) / 4, np.linspace(0, 4, 6), 1.0)
@@ -98,9 +98,9 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
         np.array(scale),
     )
     mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
-    chances = Chances.draw(uncertainty, samples, len(amount), np.random.default_rng(0))
+    numbers = RandomNumbers.generate(uncertainty, samples, len(amount), np.random.default_rng(0))
     grid = Grid(GRID.time, z, 1.0)
-    found = draw(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, chances)
+    found = sample(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, numbers)
     off = [(found[n] - getattr(mean, n)) / u for n, u in zip(VARIABLES, UNITS, strict=True)]
     return np.stack(off), np.concatenate(engine.shifts)
 
