@@ -21,14 +21,14 @@ from pcnde_bridge.config import PAPER
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import undeformed
 from pcnde_bridge.io.datasets import find_published, load_cases
 
 BATCHES = 20

@@ -1,4 +1,4 @@
-"""Helpers that several test files share: an engine without compilation, the Julia skip."""
+"""Helpers of several test files: the Julia skip, a problem for the closures, a toy engine."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from pcnde_bridge.config import PHYSICS, Physics
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
-from pcnde_bridge.engines.julia.status import JuliaStatus, julia_status
-from pcnde_bridge.engines.protocol import Engine, Fit
+from pcnde_bridge.engines.julia.environment import JuliaStatus, julia_status
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
+from pcnde_bridge.engines.types import Fit
 
 
 @functools.cache
@@ -31,6 +36,61 @@ def julia_or_skip() -> Engine:
     """Return the Julia engine; skip the test, with the reason, where it cannot be used."""
     skip_without_julia()
     return select_engine("julia")
+
+
+# Closures of the preset ``physics``.  One grid throughout, and 16 cases at once: every new
+# shape is compiled for seconds.
+Z = np.linspace(0.0, 4.0, 41)
+TIME = np.arange(32) / 32
+GRID = Grid(TIME, Z, 1.0)
+BLOOD = Physics()
+FEW = {"folds": 2, "evaluations": 15}
+CONFIG = PHYSICS.replace(wall={"law": "membrane"}, correction={"hidden": (4,)} | FEW)
+
+STRAIGHT = np.full(41, 0.125)
+RADIUS = np.sqrt(0.125 / np.pi)
+MEMBRANE = np.array([1.0e6, 0.45, 0.2, 1.0, 2.0e3])
+LOSSES = np.array([1.2, 1.1, 0.9, 0.12])
+OUTLET = np.array([1.0e5, 0.0, 0.0, 5.0e3])
+# κ, ceiling and two scales, then the network's weights: g = 0, and g between 0 and 0.8.
+OFF = np.concatenate([[1.3, 0.0, 1.0e6, 1.0], np.zeros(17)])
+ON = np.concatenate([[1.3, 0.8, 1.0e6, 1.0], np.random.default_rng(5).normal(size=17)])
+PASSIVE = ClosureParameters(OUTLET, LOSSES, MEMBRANE, OFF)
+CORRECTED = PASSIVE.replace(correction=ON)
+
+GEOMETRY, WAVEFORM = (a.ravel() for a in np.meshgrid(range(4), range(4), indexing="ij"))
+
+
+def vessel(*places, blockage=0.6, z=Z):
+    """S_u with a stenosis at each place."""
+    taken = sum((np.exp(-(((z - at) / 0.3) ** 2)) for at in places), np.zeros(z.size))
+    return 0.125 * (1 - blockage * taken)
+
+
+def waves(time=TIME):
+    """Four inflows of three harmonics, all forward; shape (waveform, time)."""
+    parts = ((1, 0.25, 0.3), (2, 0.12, 1.5), (3, 0.05, 2.0))
+    wave = sum(a * np.cos(2 * np.pi * k * time + phase) for k, a, phase in parts)
+    return np.array([m + s * wave for m, s in ((1.0, 0.4), (1.1, 0.8), (1.2, 1.2), (1.3, 1.6))])
+
+
+VESSELS = np.array([vessel(2.0, blockage=b) for b in (0.3, 0.45, 0.6, 0.7)])
+INFLOW, AREA = waves()[WAVEFORM], VESSELS[GEOMETRY]
+
+
+def solve(parameters=PASSIVE, inflow=INFLOW, area=AREA, grid=GRID, config=CONFIG):
+    closures = select_engine("jax").closures
+    return closures.predict(parameters, np.zeros(len(inflow)), inflow, area, grid, config)
+
+
+def as_cases(solution):
+    labels = {"geometry": GEOMETRY + 1, "waveform": WAVEFORM}
+    return Cases(*solution[:3], AREA, TIME, Z, period=1.0, labels=labels)
+
+
+def made_by_the_closures(parameters=CORRECTED):
+    """16 cases that the preset can describe exactly."""
+    return as_cases(solve(parameters))
 
 
 class ToyStage:

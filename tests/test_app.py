@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_closures import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waves
+from helpers import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waves
 
 from pcnde_bridge import (
     PCNDE,

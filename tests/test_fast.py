@@ -28,14 +28,14 @@ from pcnde_bridge.data.splits import training_and_validation
 from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import predict_by_stages, undeformed
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import predict_by_stages, undeformed
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.training import full_batch as fast
 from pcnde_bridge.training.algorithm import Unit

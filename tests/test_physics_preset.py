@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from test_closures import (
+from helpers import (
     AREA,
     CORRECTED,
     INFLOW,
@@ -29,7 +29,7 @@ from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.splits import neighbouring_parts
-from pcnde_bridge.engines import select_engine, why_not_julia
+from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.io.tables import read_frame
@@ -156,9 +156,6 @@ def test_given_numbers_are_kept(cases):
 
 @pytest.mark.julia
 def test_both_engines_fit_the_same_model(model, cases, prediction, tmp_path):
-    why_not = why_not_julia()
-    if why_not is not None:
-        pytest.skip(f"no Julia: {why_not}")
     ours = fitted(cases, engine="julia")
     assert ours.engine.name == PCNDE.load(saved(ours, tmp_path), engine="auto").engine.name
     for name, vector in model.parameters:

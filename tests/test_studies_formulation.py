@@ -10,8 +10,8 @@ from pcnde_bridge import plots
 from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.engines.protocol import FlowInputs
 from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.studies import compare_formulations, explore_landscapes

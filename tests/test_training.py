@@ -22,8 +22,8 @@ from pcnde_bridge import (
 )
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.parameters import STAGES, initial_parameters
-from pcnde_bridge.engines.protocol import FlowInputs
 from pcnde_bridge.engines.staged import solve_area, undeformed
+from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.training.algorithm import Unit
 from pcnde_bridge.training.checkpoint import previous
@@ -266,7 +266,7 @@ def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
         flow = toy_engine.flow.solve(
             first.flow, FlowInputs(small_cases.inflow, undeformed(s_u, 20)), grid, config
         )
-        from pcnde_bridge.engines.protocol import IntermediateAreaInputs
+        from pcnde_bridge.engines.types import IntermediateAreaInputs
 
         whole = toy_engine.intermediate_area.solve(
             first.intermediate_area, IntermediateAreaInputs(flow, s_u), grid, config

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import NamedTuple
 
-from pcnde_bridge.engines.julia.engine import julia_status
+from pcnde_bridge.engines.julia.environment import julia_status
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.io.datasets import find_published
 

@@ -1,9 +1,11 @@
-"""Computing engines: the same equations, computed by Julia or by JAX."""
+"""Compute engines: the equations and their gradients, in JAX and in Julia.
+
+Engines know arrays only; :func:`select_engine` starts one of them.
+"""
 
 from __future__ import annotations
 
 import logging
-from functools import cache
 from typing import Literal, get_args
 
 from pcnde_bridge._utils import interrupts
@@ -23,61 +25,49 @@ def select_engine(name: EngineName | Engine = "auto") -> Engine:
     Parameters
     ----------
     name : {'auto', 'julia', 'jax'} or Engine
-        ``auto`` takes Julia when it is usable on this machine as it is, else
-        JAX; which, and why, is logged to ``pcnde_bridge`` at level INFO.  An
-        engine is returned as it is.
+        ``auto`` selects Julia if it is installed and usable on this machine,
+        otherwise JAX; the choice and its reason are logged to ``pcnde_bridge`` at level
+        INFO.  An engine is returned unchanged.
 
     Raises
     ------
     InputError
         If there is no engine of that name.
     EngineUnavailableError
-        If the engine asked for by name cannot be used; says what is missing.
+        If the named engine cannot be used; the message says what is missing.
     """
     if not isinstance(name, str) and hasattr(name, "predict"):
         return name
     if name not in get_args(EngineName):
         raise InputError(f"Unknown engine {name!r}; choose one of {list(get_args(EngineName))}.")
-    if name == "julia":
-        return _julia()
     if name == "jax":
         return _jax()
-    why = why_not_julia()
-    if why is None:
+    from pcnde_bridge.engines.julia.engine import julia_engine
+    from pcnde_bridge.engines.julia.environment import julia_status
+
+    if name == "julia":
+        return julia_engine()
+    status = julia_status()
+    reason = status.message
+    if status.usable:
         try:
-            engine = _julia()
+            engine = julia_engine()
         except EngineUnavailableError as error:
-            why = str(error)
+            reason = str(error)
         else:
-            _log.info("Computing with the Julia engine: Julia is usable on this machine.")
+            _log.info("Using the Julia engine: Julia is usable on this machine.")
             return engine
-    _log.info("Computing with the embedded JAX engine: %s", why)
+    _log.info("Using the JAX engine: %s", reason)
     return _jax()
 
 
-def why_not_julia() -> str | None:
-    """Reason why Julia is not usable as the machine is, found without starting it."""
-    from pcnde_bridge.engines.julia.engine import julia_status
-
-    status = julia_status()
-    return None if status.usable else status.message
-
-
-@cache
 def _jax() -> Engine:
     try:
         with interrupts.held():
-            from pcnde_bridge.engines.jax.engine import JaxEngine
+            from pcnde_bridge.engines.jax.engine import jax_engine
     except ImportError as error:
         raise EngineUnavailableError(
             f"The JAX engine needs jax and diffrax, but {error}. "
             "Install them: pip install jax diffrax."
         ) from error
-    return JaxEngine()
-
-
-@cache
-def _julia() -> Engine:
-    from pcnde_bridge.engines.julia.engine import JuliaEngine
-
-    return JuliaEngine()
+    return jax_engine()

@@ -1,7 +1,7 @@
-"""Memory for results that come again and again.
+"""Reusable output buffers.
 
-Large arrays that are freed go back to the operating system, which hands out the next ones
-page by page: what writes them then waits for that.
+The operating system provides newly allocated large arrays page by page, which slows down
+the first write to them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from pcnde_bridge._typing import Array
 
 _BLOCKS = 6
-"""Flow, area and pressure of a prediction that is in use, and of the next."""
+"""Number of cached blocks: flow, area and pressure of the current and the next prediction."""
 
 _LARGEST = 1 << 25
-"""Bytes of the largest block that is kept."""
+"""Size of the largest cached block, bytes."""
 
 
 class Buffers:
-    """Makes arrays, of the memory of earlier ones that nothing refers to any longer."""
+    """Pool that reuses the memory of arrays without remaining references."""
 
     def __init__(self) -> None:
         self._free: deque[Array] = deque(maxlen=_BLOCKS)
@@ -30,7 +30,7 @@ class Buffers:
     def empty(self, shape: tuple[int, ...]) -> Array:
         """Return an array of this shape whose values are undefined.
 
-        Its memory serves again once it and all views of it are gone.
+        Its memory is reused when the array and all its views are deleted.
         """
         size = math.prod(shape)
         try:
@@ -39,7 +39,7 @@ class Buffers:
             block = np.empty(size)
         if block.size != size:
             block = np.empty(size)
-        # Views of the result refer to this array, and nothing but it to the memory.
+        # Views of the result refer to this array, which alone refers to the memory.
         array = np.frombuffer(block.data)
         if block.nbytes <= _LARGEST:
             weakref.finalize(array, self._free.append, block).atexit = False

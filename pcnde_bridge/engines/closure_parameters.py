@@ -1,4 +1,4 @@
-"""The learnable numbers of the closures.
+"""Trained parameters of the closures.
 
 ========================  ============================================================
 ``outlet``                R₁, R₂ (dyn·s/cm⁵), C (cm⁵/dyn), p_d (dyn/cm²)
@@ -12,25 +12,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
-from pcnde_bridge.engines.parameters import network_size
+from pcnde_bridge.engines.parameters import ParameterVectors, network_size
 from pcnde_bridge.errors import InputError
 
 CLOSURES = ("outlet", "losses", "wall", "correction")
 """Names of the closures, in the order in which they are fitted."""
 
 CORRECTION_SCALARS = 4
-"""Numbers before the network's weights: κ, the ceiling and two scales."""
+"""Count of numbers before the network's weights: κ, the ceiling and two scales."""
 
 
 def sizes(config: ClosureConfig) -> dict[str, int]:
-    """Length of every closure's vector; the wall's law must be decided.
+    """Return the length of every closure's vector.
 
     Raises
     ------
@@ -38,7 +37,7 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
         If the law is still 'auto'.
     """
     if config.wall.law == "auto":
-        raise InputError("wall.law is 'auto': a fitted model's configuration says which it took.")
+        raise InputError("wall.law is 'auto': use the configuration of a fitted model.")
     widths = (2, *config.correction.hidden, 1)
     return {
         "outlet": 4,
@@ -49,13 +48,13 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosureParameters:
-    """One flat vector for each closure, laid out as this module's text says.
+class ClosureParameters(ParameterVectors):
+    """All parameters of the ``physics`` preset, one flat read-only vector per closure.
 
     Attributes
     ----------
     outlet, losses, wall, correction : arrays
-        Read-only vectors.
+        Read-only vectors; this module's docstring describes their layout.
     """
 
     outlet: Array
@@ -63,26 +62,13 @@ class ClosureParameters:
     wall: Array
     correction: Array
 
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            vector = np.array(getattr(self, f.name), dtype=np.float64)
-            vector.flags.writeable = False
-            object.__setattr__(self, f.name, vector)
-
-    def __iter__(self) -> Iterator[tuple[str, Array]]:
-        return ((name, getattr(self, name)) for name in CLOSURES)
-
-    def replace(self, **vectors: Array) -> ClosureParameters:
-        """Copy with some closures' vectors changed."""
-        return ClosureParameters(**{**dict(self), **vectors})
-
     def check(self, config: ClosureConfig) -> None:
         """Raise if a vector's length does not fit the configuration.
 
         Raises
         ------
         InputError
-            Naming the closure, the shape found and the length needed.
+            With the closure, its shape and the necessary length.
         """
         for name, needed in sizes(config).items():
             found = getattr(self, name)

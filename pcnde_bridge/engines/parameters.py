@@ -1,4 +1,4 @@
-"""The learnable parameters: one layout, shared by every engine and model file.
+"""Trained parameters of the paper's stages: one layout for all engines and model files.
 
 Each stage's parameters are one flat float64 vector:
 
@@ -12,8 +12,8 @@ Each stage's parameters are one flat float64 vector:
 
 A network is stored layer by layer: the weight matrix (out × in) column by
 column, as Julia stores it, then the bias.  The flow network's input is Q at all
-instants, then S at all instants; the pressure network's is S, S − S_u, Δp and Q
-at all points.
+time points, then S at all time points; the pressure network's is S, S − S_u, Δp
+and Q at all points.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.errors import InputError
 
 PRESSURE_STAGES = ("temporal_pressure", "spatial_pressure")
-"""The stages trained after flow and area."""
+"""Names of the stages that are trained after flow and area."""
 
 STAGES = (
     "flow",
@@ -41,16 +42,16 @@ STAGES = (
 
 
 def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) -> tuple[int, ...]:
-    """Widths of a stage's network from input to output.
+    """Return the widths of a stage's network from input to output.
 
     Parameters
     ----------
     stage : {'flow', 'temporal_pressure', 'temporal_flow'}
-        The stages that have a network.
+        Name of a stage that has a network.
     config : PCNDEConfig
-        Gives the hidden widths.
+        Settings with the hidden widths.
     n_times, n_points : int
-        Instants per cycle and points along the vessel.
+        Time points per cycle and points along the vessel.
     """
     if stage == "flow":
         return (2 * n_times, *config.flow.hidden, n_times)
@@ -60,7 +61,7 @@ def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) ->
 
 
 def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
-    """Length of every stage's parameter vector."""
+    """Return the length of every stage's parameter vector."""
     return {
         "flow": network_size(layer_sizes("flow", config, n_times, n_points)),
         "intermediate_area": 2 * n_points,
@@ -73,18 +74,36 @@ def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
 
 
 def network_size(widths: Sequence[int]) -> int:
-    """Count a network's weights and biases, from its layers' widths."""
+    """Count the weights and biases of a network with layers of the given widths."""
     return sum((n_in + 1) * n_out for n_in, n_out in pairwise(widths))
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class ParameterVectors:
+    """Base class of named flat parameter vectors, copied to float64 and read-only."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            vector = np.array(getattr(self, field.name), dtype=np.float64)
+            vector.flags.writeable = False
+            object.__setattr__(self, field.name, vector)
+
+    def __iter__(self) -> Iterator[tuple[str, Array]]:
+        return ((field.name, getattr(self, field.name)) for field in fields(self))
+
+    def replace(self, **vectors: Array) -> Self:
+        """Return a copy with some vectors changed."""
+        return type(self)(**{**dict(self), **vectors})
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters(ParameterVectors):
     """All parameters of a PCNDE, one flat read-only vector per stage.
 
     Attributes
     ----------
     flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure
-        Arrays of shape (size,), laid out as this module's text says.
+        Arrays of shape (size,); this module's docstring describes their layout.
     """
 
     flow: Array
@@ -94,38 +113,29 @@ class Parameters:
     spatial_pressure: Array
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            vector = np.array(getattr(self, f.name), dtype=np.float64)
+        super().__post_init__()
+        for stage, vector in self:
             if vector.ndim != 1:
                 raise InputError(
-                    f"The {f.name} parameters must be one flat vector, got shape {vector.shape}."
+                    f"The {stage} parameters must be one flat vector, got shape {vector.shape}."
                 )
-            vector.flags.writeable = False
-            object.__setattr__(self, f.name, vector)
 
     @property
     def has_pressure(self) -> bool:
-        """Whether the pressure stages' vectors are there."""
+        """Whether the pressure stages have parameters."""
         return self.temporal_pressure.size > 0
 
     def without_pressure(self) -> Parameters:
-        """Copy for flow and area alone."""
+        """Return a copy for flow and area alone."""
         return self.replace(**{stage: np.empty(0) for stage in PRESSURE_STAGES})
 
-    def __iter__(self) -> Iterator[tuple[str, Array]]:
-        return ((name, getattr(self, name)) for name in STAGES)
-
     def __eq__(self, other: object) -> bool:
-        """Whether every number is the same, bit for bit."""
+        """Return whether every number is the same, bit for bit."""
         return isinstance(other, Parameters) and all(
             np.array_equal(mine, getattr(other, name)) for name, mine in self
         )
 
     __hash__ = None  # type: ignore[assignment]
-
-    def replace(self, **vectors: Array) -> Parameters:
-        """Copy with some stages' vectors changed."""
-        return Parameters(**{**dict(self), **vectors})
 
     def check(self, config: PCNDEConfig, n_times: int, n_points: int) -> None:
         """Raise if a vector does not fit the configuration and grid, or is not finite.
@@ -135,24 +145,24 @@ class Parameters:
         Raises
         ------
         InputError
-            Naming the stage, and the length found and needed or the number.
+            With the stage, and the actual and the necessary length.
         """
         for stage, needed in sizes(config, n_times, n_points).items():
             vector = getattr(self, stage)
-            if vector.ndim != 1 or not np.isfinite(vector).all():
-                raise InputError(f"The {stage} parameters are not a row of finite numbers.")
+            if not np.isfinite(vector).all():
+                raise InputError(f"The {stage} parameters are not all finite.")
             found = vector.size
             if found != needed and not (found == 0 and stage in PRESSURE_STAGES):
                 raise InputError(
                     f"The {stage} parameters have {found} numbers, but {needed} are needed for "
-                    f"{n_times} instants, {n_points} points and this configuration."
+                    f"{n_times} time points, {n_points} points in z and this configuration."
                 )
 
 
 def initial_parameters(
     config: PCNDEConfig, n_times: int, n_points: int, seed: int, start: int = 0
 ) -> Parameters:
-    """Parameters before training.
+    """Create the parameters before training.
 
     Networks start Glorot-uniform with zero bias; â = a = 1 and b̂ = b = 0, which
     is the continuity equation itself; a₁ = a₂ = b₁ = 0 and b₂ = 1, which is the
@@ -161,13 +171,13 @@ def initial_parameters(
     Parameters
     ----------
     config : PCNDEConfig
-        Gives the networks' hidden widths.
+        Settings with the networks' hidden widths.
     n_times, n_points : int
-        Instants per cycle and points along the vessel.
+        Time points per cycle and points along the vessel.
     seed : int
-        Of the networks' weights; each stage has a stream of its own.
+        Random seed of the networks' weights; each stage has its own stream.
     start : int
-        Other weights of the same seed.
+        Number of the start: other weights for the same seed.
     """
     correction = np.concatenate([np.ones(n_points), np.zeros(n_points)])
     return Parameters(
@@ -183,12 +193,12 @@ def initial_parameters(
 
 
 def initial_temporal_flow(config: PCNDEConfig, n_points: int, seed: int) -> Array:
-    """Network of the momentum equation in time before training, Glorot-uniform.
+    """Create the Glorot-uniform network of the momentum equation in time.
 
-    Its input is Q at all points and, with ``time_input``, t/T; the other arguments are
-    those of :func:`initial_parameters`.
+    Its input is Q at all points and, with ``time_input``, t/T.  The arguments are those of
+    :func:`initial_parameters`.
     """
-    # No stage of the model has this stream.
+    # This stream is not used by any stage of the model.
     rng = np.random.default_rng([seed, len(STAGES)])
     return _glorot(layer_sizes("temporal_flow", config, 0, n_points), rng)
 

@@ -1,4 +1,4 @@
-"""The trained equations in their order: flow, area, coupled back, then pressure."""
+"""Trained equations in their order: coupled flow and area, then pressure."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import (
-    Engine,
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
@@ -20,17 +20,26 @@ from pcnde_bridge.engines.protocol import (
 
 
 def undeformed(area_undeformed: Array, n_times: int) -> Array:
-    """S_u (case, z) at every instant: the area before anything is known of it."""
+    """Return S_u (case, z) at every time point: the area before the first coupling pass."""
     return np.repeat(area_undeformed[:, None], n_times, axis=1)
 
 
+def anchor(n_times: int, config: PCNDEConfig) -> int:
+    """Return the time point of the intermediate area that anchors the Fourier area.
+
+    It counts from the start of the first cycle; ``n_times`` is the number in one cycle.
+    """
+    cycles = config.intermediate_area.cycles
+    return {
+        "undeformed": 0,
+        "last_cycle": (cycles - 1) * n_times,
+        "last_time_point": cycles * n_times - 1,
+    }[config.fourier_area.anchor]
+
+
 def initial_area(intermediate: Array, n_times: int, config: PCNDEConfig) -> Array:
-    """Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
-    if config.fourier_area.anchor == "last_time_point":
-        return intermediate[:, -1]
-    if config.fourier_area.anchor == "undeformed":
-        return intermediate[:, 0]
-    return intermediate[:, -n_times]
+    """Return Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
+    return intermediate[:, anchor(n_times, config)]
 
 
 def solve_area(
@@ -41,7 +50,7 @@ def solve_area(
     grid: Grid,
     config: PCNDEConfig,
 ) -> Array:
-    """Both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
+    """Solve both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
     intermediate = engine.intermediate_area.solve(
         parameters.intermediate_area, IntermediateAreaInputs(flow, area_undeformed), grid, config
     )
@@ -64,15 +73,15 @@ def predict_by_stages(
     Parameters
     ----------
     engine : Engine
-        Computes.
+        Compute engine.
     parameters : Parameters
-        Of a trained model.
+        Parameters of a trained model.
     inflow : array of shape (case, time)
         Q_in, mL/s.
     area_undeformed : array of shape (case, z)
         S_u, cm².
     grid, config
-        Of the model.
+        Grid and settings of the model.
     """
     area = undeformed(area_undeformed, inflow.shape[1])
     for _ in range(config.coupling_passes):

@@ -28,14 +28,9 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_grid
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
-from pcnde_bridge.engines.protocol import (
-    Engine,
-    FlowInputs,
-    IntermediateAreaInputs,
-    Stage,
-    TemporalFlowInputs,
-)
+from pcnde_bridge.engines.protocol import Engine, Stage
 from pcnde_bridge.engines.staged import solve_area, undeformed
+from pcnde_bridge.engines.types import FlowInputs, IntermediateAreaInputs, TemporalFlowInputs
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import full_batch as all_at_once

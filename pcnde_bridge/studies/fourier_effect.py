@@ -11,7 +11,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import IntermediateAreaInputs
+from pcnde_bridge.engines.types import IntermediateAreaInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.model.pcnde import PCNDE

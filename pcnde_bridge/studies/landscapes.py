@@ -31,7 +31,8 @@ from pcnde_bridge.config import (
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.protocol import Engine, FlowInputs
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import history as histories

@@ -22,7 +22,8 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import Engine, Solution
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.training import recipes

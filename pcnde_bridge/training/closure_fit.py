@@ -20,8 +20,8 @@ from pcnde_bridge.engines.closure_parameters import (
     ClosureParameters,
     sizes,
 )
-from pcnde_bridge.engines.closure_protocol import Closures
-from pcnde_bridge.engines.protocol import OnIteration
+from pcnde_bridge.engines.protocol import Closures
+from pcnde_bridge.engines.types import OnIteration
 from pcnde_bridge.errors import SolveError
 
 Residual = Callable[[Array], tuple[Array, Array]]

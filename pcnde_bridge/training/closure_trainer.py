@@ -21,7 +21,8 @@ from pcnde_bridge.engines.closure_parameters import (
     ClosureParameters,
     sizes,
 )
-from pcnde_bridge.engines.protocol import Engine, OnIteration
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import OnIteration
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit as fit
 from pcnde_bridge.training import history as histories

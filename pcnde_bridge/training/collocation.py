@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.protocol import LBFGS, OnIteration
+from pcnde_bridge.engines.types import LBFGS, OnIteration
 from pcnde_bridge.training.lbfgs import Whitening, minimise
 from pcnde_bridge.training.least_squares import solve_normal
 from pcnde_bridge.training.variable_projection import HiddenLayers, Passed

@@ -28,17 +28,16 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.splits import Positions, training_and_validation
 from pcnde_bridge.engines.parameters import initial_parameters, layer_sizes
-from pcnde_bridge.engines.protocol import (
-    Engine,
+from pcnde_bridge.engines.protocol import Engine, Stage
+from pcnde_bridge.engines.staged import initial_area
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     OnIteration,
     SpatialPressureInputs,
-    Stage,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import initial_area
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 from pcnde_bridge.training.algorithm import StageFit, Unit

@@ -9,11 +9,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import FullBatch
-from pcnde_bridge.engines.protocol import (
-    LBFGS,
-    Objective,
-    OnIteration,
-)
+from pcnde_bridge.engines.types import LBFGS, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 
 _DIVERGED = 10.0  # loss of a diverging trial step, in units of the first loss

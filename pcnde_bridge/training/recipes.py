@@ -18,7 +18,8 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters
 from pcnde_bridge.engines.parameters import STAGES, Parameters
-from pcnde_bridge.engines.protocol import Engine, Solution
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training.checkpoint import State
 from pcnde_bridge.training.closure_trainer import ClosureTrainer

@@ -25,19 +25,19 @@ from pcnde_bridge.engines.parameters import (
     Parameters,
     initial_parameters,
 )
-from pcnde_bridge.engines.protocol import (
-    Engine,
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import (
     initial_area,
     predict_by_stages,
     solve_area,
     undeformed,
+)
+from pcnde_bridge.engines.types import (
+    FlowInputs,
+    FourierAreaInputs,
+    IntermediateAreaInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
 )
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import full_batch as all_at_once

@@ -29,8 +29,8 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.closure_protocol import Closures
-from pcnde_bridge.engines.protocol import Solution
+from pcnde_bridge.engines.protocol import Closures
+from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 

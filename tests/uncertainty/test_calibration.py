@@ -13,7 +13,7 @@ from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.protocol import Solution
+from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.uncertainty.calibration import Calibration
 from pcnde_bridge.uncertainty.sampling import (
     RandomNumbers,

@@ -56,7 +56,7 @@ A stage's result for every case on its own, (z, time, case).
   - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"`,
     `"spatial_pressure"` or `"temporal_flow"`.
   - `θ`: parameters, flat vector.
-  - `inputs`: the stage's arrays, in the order of the Python package's `engines.base`.
+  - `inputs`: the stage's arrays, in the order of the Python package's `engines.types`.
   - `z`, `period`: points, cm, and length of the cycle, s.
   - `config`: a [`Config`](@ref).
 """
@@ -167,7 +167,7 @@ case) and (parameter, z, time, case).
 # Arguments
 
   - `name`: `"losses"`, `"area"` or `"flow"`.
-  - `inputs`: arrays in the order of the Python package's `engines.closures`; the points'
+  - `inputs`: arrays in the order of the Python package's `engines.protocol`; the points'
     positions count from 0.
   - `z`, `period`: points, cm, and length of the cycle, s.
   - `config`: a [`ClosureConfig`](@ref).

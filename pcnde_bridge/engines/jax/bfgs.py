@@ -18,7 +18,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import BFGS
-from pcnde_bridge.engines.protocol import Fit, OnIteration
+from pcnde_bridge.engines.types import Fit, OnIteration
 from pcnde_bridge.errors import SolveError
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -13,7 +14,6 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.jax import (
     area,
     flow,
@@ -28,7 +28,8 @@ from pcnde_bridge.engines.jax.closures.engine import JaxClosures
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.jax.stage import JaxStage, in_batches
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import predict_by_stages
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
@@ -37,7 +38,6 @@ from pcnde_bridge.engines.protocol import (
     TemporalFlowInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import predict_by_stages
 
 __all__ = ["JaxEngine"]
 
@@ -126,7 +126,7 @@ class JaxEngine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as a name: compiled functions cannot."""
-        return select_engine, (self.name,)
+        return jax_engine, ()
 
     def predict(
         self,
@@ -154,3 +154,9 @@ class JaxEngine:
     def versions(self) -> Mapping[str, str]:
         """Versions of the packages that compute."""
         return {name: version(name) for name in ("jax", "jaxlib", "diffrax")}
+
+
+@cache
+def jax_engine() -> JaxEngine:
+    """Return the process's JAX engine."""
+    return JaxEngine()

@@ -1,31 +1,26 @@
-"""L-BFGS of SciPy, for functions that any engine evaluates."""
+"""L-BFGS of SciPy, for objectives evaluated by any engine."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from pcnde_bridge._typing import Array
-from pcnde_bridge.engines.protocol import Objective, OnAccepted
+from pcnde_bridge.engines.types import Objective
 
 
 def lbfgs_of_scipy(
-    objective: Objective, start: Array, memory: int, iterations: int, after: OnAccepted
+    objective: Objective,
+    start: Array,
+    memory: int,
+    iterations: int,
+    on_iteration: Callable[[Array, float], None],
 ) -> None:
     """See :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
     from scipy.optimize import OptimizeResult, minimize
 
     def callback(intermediate_result: OptimizeResult) -> None:
-        after(intermediate_result.x.copy(), float(intermediate_result.fun))
+        on_iteration(intermediate_result.x.copy(), float(intermediate_result.fun))
 
-    minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        callback=callback,
-        options={
-            "maxiter": iterations,
-            "maxfun": 20 * iterations,
-            "maxcor": memory,
-            "ftol": 0.0,
-            "gtol": 0.0,
-        },
-    )
+    limits = {"maxiter": iterations, "maxfun": 20 * iterations, "maxcor": memory}
+    options = {**limits, "ftol": 0.0, "gtol": 0.0}
+    minimize(objective, start, jac=True, method="L-BFGS-B", callback=callback, options=options)

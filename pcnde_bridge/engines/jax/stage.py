@@ -17,11 +17,7 @@ from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.bfgs import minimise
-from pcnde_bridge.engines.protocol import (
-    Fit,
-    Objective,
-    OnIteration,
-)
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 
 InputsT = TypeVar("InputsT")

@@ -1,4 +1,4 @@
-"""The Julia engine: PCNDECore called through juliacall.
+"""Julia engine: the package PCNDECore, called through juliacall.
 
-The class is :class:`pcnde_bridge.engines.julia.engine.JuliaEngine`; importing it starts nothing.
+Importing :mod:`pcnde_bridge.engines.julia.engine` starts nothing; creating its engine does.
 """

@@ -1,4 +1,4 @@
-"""The closures of the ``physics`` preset in Julia; ``julia/PCNDECore/src/closures`` computes."""
+"""Closures of the ``physics`` preset in Julia (``julia/PCNDECore/src/closures``)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,19 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.closure_protocol import Problem
-from pcnde_bridge.engines.protocol import Solution
+from pcnde_bridge.engines.types import Problem, Solution
 
 __all__ = ["JuliaClosures"]
 
 
 class JuliaClosures:
-    """See :class:`pcnde_bridge.engines.closure_protocol.Closures`; ``call`` calls Julia."""
+    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Closures`.
+
+    Parameters
+    ----------
+    call : callable
+        Calls one of PCNDECore's functions (:meth:`~pcnde_bridge.engines.julia.runtime.Julia.call`).
+    """
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
@@ -29,13 +34,13 @@ class JuliaClosures:
     def losses(
         self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         return self._problem("losses", (flow, area_undeformed), grid, config)
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         return self._problem("area", (pressure, area_undeformed), grid, config)
 
     def flow(
@@ -47,8 +52,8 @@ class JuliaClosures:
         grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
-        """See the protocol."""
-        positions = points.astype(np.float64)  # as every array that Julia is given
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        positions = points.astype(np.float64)  # like every array that Julia receives
         fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, positions
         return self._problem("flow", fixed, grid, config)
 
@@ -61,12 +66,12 @@ class JuliaClosures:
         grid: Grid,
         config: ClosureConfig,
     ) -> Solution:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         shape = len(inflow), inflow.shape[1], grid.z.size
         flow, area, pressure = (self._buffers.empty(shape) for _ in range(3))
         vectors = (vector for _, vector in parameters)
         inputs = *vectors, shift, inflow, area_undeformed, grid.z
-        # Named, as Julia uses their memory until it returns.
+        # Referenced here, because Julia uses their memory until it returns.
         arrays = [flow, area, pressure, *(np.ascontiguousarray(a, np.float64) for a in inputs)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return Solution(flow, area, pressure)
@@ -75,7 +80,7 @@ class JuliaClosures:
         self, name: str, inputs: tuple[Array, ...], grid: Grid, config: ClosureConfig
     ) -> Problem:
         def evaluate(parameters: Array) -> tuple[Array, Array]:
-            # Nothing of Julia's is kept, which another thread might let go.
+            # No Julia object is stored, which another thread might release.
             value, jacobian = self._call(
                 "closure", name, parameters, inputs, grid.z, float(grid.period), config
             )

@@ -1,48 +1,41 @@
-"""The Julia engine: Tsit5, Lux and Optim.jl's BFGS over juliacall.
+"""Julia engine: Tsit5, Lux and Optim.jl's BFGS, called through juliacall.
 
-Julia starts when a :class:`JuliaEngine` is made, not when this module is imported.
+Julia starts when a :class:`JuliaEngine` is created, not when this module is imported.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.julia.closures import JuliaClosures
-from pcnde_bridge.engines.julia.project import julia_sources
 from pcnde_bridge.engines.julia.runtime import running
 from pcnde_bridge.engines.julia.stage import JuliaStage
-from pcnde_bridge.engines.julia.status import (
-    JuliaStatus,
-    julia_settings_file,
-    julia_status,
-)
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import predict_by_stages
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     Objective,
-    OnAccepted,
     Solution,
     SpatialPressureInputs,
     TemporalFlowInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import predict_by_stages
 
-__all__ = ["JuliaEngine", "JuliaStatus", "julia_settings_file", "julia_sources", "julia_status"]
+__all__ = ["JuliaEngine", "julia_engine"]
 
 
 class JuliaEngine:
-    """The five stages in Julia; see :class:`pcnde_bridge.engines.protocol.Engine`.
+    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Engine`.
 
-    Making one starts Julia, once per process.
+    The first one starts Julia, once per process.
 
     Raises
     ------
@@ -53,26 +46,18 @@ class JuliaEngine:
     name = "julia"
 
     def __init__(self) -> None:
-        self._julia = running()
-        self.closures = JuliaClosures(self._julia.call)
-        self.flow: JuliaStage[FlowInputs] = JuliaStage(self._julia, "flow")
-        self.intermediate_area: JuliaStage[IntermediateAreaInputs] = JuliaStage(
-            self._julia, "intermediate_area"
-        )
-        self.fourier_area: JuliaStage[FourierAreaInputs] = JuliaStage(self._julia, "fourier_area")
-        self.temporal_pressure: JuliaStage[TemporalPressureInputs] = JuliaStage(
-            self._julia, "temporal_pressure"
-        )
-        self.spatial_pressure: JuliaStage[SpatialPressureInputs] = JuliaStage(
-            self._julia, "spatial_pressure"
-        )
-        self.temporal_flow: JuliaStage[TemporalFlowInputs] = JuliaStage(
-            self._julia, "temporal_flow"
-        )
+        self._julia = julia = running()
+        self.closures = JuliaClosures(julia.call)
+        self.flow = JuliaStage[FlowInputs](julia, "flow")
+        self.intermediate_area = JuliaStage[IntermediateAreaInputs](julia, "intermediate_area")
+        self.fourier_area = JuliaStage[FourierAreaInputs](julia, "fourier_area")
+        self.temporal_pressure = JuliaStage[TemporalPressureInputs](julia, "temporal_pressure")
+        self.spatial_pressure = JuliaStage[SpatialPressureInputs](julia, "spatial_pressure")
+        self.temporal_flow = JuliaStage[TemporalFlowInputs](julia, "temporal_flow")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as a name: Julia's functions cannot."""
-        return select_engine, (self.name,)
+        """Pickle as a name: Julia's functions cannot be pickled."""
+        return julia_engine, ()
 
     def predict(
         self,
@@ -85,34 +70,39 @@ class JuliaEngine:
         """See :class:`pcnde_bridge.engines.protocol.Engine`."""
         if config.flow.terms:
             return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
-        flow, area, pressure = self._julia.call(
-            "predict",
-            tuple(vector for _, vector in parameters),
-            inflow,
-            area_undeformed,
-            grid.z,
-            float(grid.period),
-            config.coupling_passes,
-            config,
-        )
-        return Solution(flow, area, pressure)
+        vectors = tuple(vector for _, vector in parameters)
+        cases = inflow, area_undeformed
+        where = grid.z, float(grid.period)
+        passes = config.coupling_passes
+        return Solution(*self._julia.call("predict", vectors, *cases, *where, passes, config))
 
     def lbfgs(
-        self, objective: Objective, start: Array, memory: int, iterations: int, after: OnAccepted
+        self,
+        objective: Objective,
+        start: Array,
+        memory: int,
+        iterations: int,
+        on_iteration: Callable[[Array, float], None],
     ) -> None:
-        """Optim's ``LBFGS``; see :class:`pcnde_bridge.engines.protocol.Engine`."""
+        """Run Optim's ``LBFGS``; see :class:`pcnde_bridge.engines.protocol.Engine`."""
 
-        def evaluate(x: Any, found: Any) -> None:
-            room = found.to_numpy(copy=False)
-            room[0], room[1:] = objective(x.to_numpy())
+        def evaluate(x: Any, result: Any) -> None:
+            array = result.to_numpy(copy=False)
+            array[0], array[1:] = objective(x.to_numpy())
 
-        def accepted(x: Any, loss: float) -> None:
-            after(x.to_numpy(), float(loss))
+        def after_iteration(x: Any, loss: float) -> None:
+            on_iteration(x.to_numpy(), float(loss))
 
         with contextlib.suppress(StopIteration):
-            self._julia.call("lbfgs", evaluate, start, memory, iterations, accepted)
+            self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
 
     @property
     def versions(self) -> Mapping[str, str]:
         """Versions of Julia and the packages that compute."""
         return self._julia.versions()
+
+
+@cache
+def julia_engine() -> JuliaEngine:
+    """Return the process's Julia engine."""
+    return JuliaEngine()

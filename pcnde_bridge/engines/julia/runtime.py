@@ -1,4 +1,4 @@
-"""The one Julia of this process: started through juliacall, called with arrays and settings."""
+"""Julia of this process: started once through juliacall, called with arrays and settings."""
 
 from __future__ import annotations
 
@@ -16,83 +16,90 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
-from pcnde_bridge.engines.julia.project import (
-    compatible,
-    core_version,
-    incompatible,
-    julia_sources,
-)
-from pcnde_bridge.engines.julia.status import (
+from pcnde_bridge.engines.julia.environment import (
     EXECUTABLE,
     PROJECT,
     SIGNALS,
     THREADS,
     JuliaStatus,
-    choose,
+    check_core,
     how_to_prepare,
+    julia_status,
     juliacall_settings,
-    status_of,
 )
-from pcnde_bridge.errors import (
-    EngineError,
-    EngineUnavailableError,
-    PCNDEWarning,
-    SolveError,
-)
+from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 
 
 class Julia:
-    """The running Julia: PCNDECore's entry points, with arrays and errors converted."""
+    """The running Julia: PCNDECore's functions, with arrays and errors converted.
+
+    Attributes
+    ----------
+    problem : object
+        Identity of the objective whose data PCNDECore stores.
+    """
 
     def __init__(self) -> None:
         self._juliacall = start()
         self._process, self._thread = os.getpid(), threading.get_ident()
-        # A module of our own keeps the user's Main as it is.
+        # A module of its own leaves the user's Main unchanged.
         module = self._juliacall.newmodule("PCNDEBridge")
+        project = str(self._juliacall.CONFIG["project"])
         try:
             module.seval("using PCNDECore")
         except self._juliacall.JuliaError as error:
             raise EngineUnavailableError(
-                "PCNDECore does not load in the Julia project "
-                f"{self._juliacall.CONFIG['project']}: {self._words(error)}. {how_to_prepare()}"
+                f"PCNDECore does not load in the Julia project {project}: "
+                f"{self._text(error)}. {how_to_prepare()}"
             ) from error
         self._core = module.PCNDECore
-        # A function's name is looked up once: each time takes as long as calling it.
+        # Looking up a function's name takes as long as calling it.
         self._function = functools.lru_cache(functools.partial(getattr, self._core))
-        found, ours = self.versions()["PCNDECore"], core_version(julia_sources()) or ""
-        if not compatible(found, ours):
-            project = str(self._juliacall.CONFIG["project"])
-            raise EngineUnavailableError(incompatible(found, "running", ours, project))
+        check_core(self.versions()["PCNDECore"], "running", project)
         self._config = functools.lru_cache(maxsize=64)(self._new_config)
-        self.held: object = None  # whose problem Julia holds
+        self.problem: object = None
 
     def versions(self) -> dict[str, str]:
-        """Versions of Julia and the packages that compute."""
+        """Return the versions of Julia and the packages that compute."""
         return {str(name): str(version) for name, version in self.call("versions").items()}
 
     def call(self, name: str, *arguments: Any, in_place: Iterable[Array] = ()) -> Any:
         """Call one of PCNDECore's functions; arrays and settings are converted.
 
-        Of the arrays ``in_place``, float64 and C-ordered, the function is told, last, where
-        they are; it reads and fills them there, and keeps none.
+        Parameters
+        ----------
+        name : str
+            The function's name.
+        *arguments
+            Arrays, settings, tuples of them, numbers and callables.
+        in_place : iterable of arrays
+            Float64 and C-ordered; their addresses and shapes are passed last.  The function
+            reads and writes them in place, and keeps no reference.
+
+        Raises
+        ------
+        SolveError
+            If an equation cannot be solved.
+        EngineError
+            If Julia fails otherwise, or is called from another thread or process.
         """
         if os.getpid() != self._process:
             raise EngineError(
                 "Julia does not survive a fork: start worker processes with the 'spawn' method "
-                '(multiprocessing.get_context("spawn")), and make the engine there.'
+                '(multiprocessing.get_context("spawn")), and create the engine there.'
             )
         if threading.get_ident() != self._thread:
             raise EngineError(
-                "Julia answers only in the thread that started it: make and use the engine in "
-                'one thread, or take engine="jax", which any thread may use.'
+                "Julia answers only in the thread that started it: create and use the engine in "
+                'one thread, or use engine="jax", which works in any thread.'
             )
         try:
-            where = [number for array in in_place for number in _memory(array)]
-            result = self._function(name)(*map(self._to_julia, arguments), *where)
+            addresses = [number for array in in_place for number in _memory(array)]
+            result = self._function(name)(*map(self._to_julia, arguments), *addresses)
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
             failure = self._failure(error)
-        # Raised here, so that it holds nothing of Julia's, which another thread might let go.
+        # Raised here, so that it refers to no Julia object, which another thread might release.
         raise failure
 
     def _to_julia(self, value: Any) -> Any:
@@ -107,7 +114,7 @@ class Julia:
         return value
 
     def _to_python(self, value: Any) -> Any:
-        """Copy arrays: the results are numpy's own, not views of Julia's memory."""
+        """Copy arrays: the results own their memory and are no views of Julia's."""
         if isinstance(value, self._juliacall.ArrayValue):
             return np.array(value.to_numpy(copy=False).T, order="C")
         if isinstance(value, tuple):
@@ -115,7 +122,7 @@ class Julia:
         return value
 
     def _new_config(self, config: PCNDEConfig | ClosureConfig) -> Any:
-        """Julia's copy of the settings, as a TOML text of plain numbers and words."""
+        """Return Julia's copy of the settings, passed as TOML of plain numbers and strings."""
         lines = [
             f"{group}.{name} = {json.dumps(value)}"
             for group, settings in config.to_dict().items()
@@ -131,35 +138,39 @@ class Julia:
         if kind == "InterruptException":
             return KeyboardInterrupt()
         if kind == "SolveError":
-            return SolveError(self._words(error))
-        failure = EngineError(f"Julia failed: {self._words(error)}")
+            return SolveError(self._text(error))
+        failure = EngineError(f"Julia failed: {self._text(error)}")
         failure.__cause__ = RuntimeError(str(error))  # with Julia's stack trace
         return failure
 
-    def _words(self, error: Any) -> str:
-        """Julia's own message, without its stack trace."""
+    def _text(self, error: Any) -> str:
+        """Return Julia's own message, without its stack trace."""
         base = self._juliacall.Base
         text = str(base.sprint(base.showerror, error.exception)).strip()
         return text if len(text) <= 1000 else f"{text[:1000]} …"
 
 
 def _memory(array: Array) -> tuple[int, ...]:
-    """Address and shape in Julia's order, so that Julia need not compile for Python's types."""
+    """Return address and shape in Julia's order: Julia need not compile for Python's types."""
     return array.__array_interface__["data"][0], *reversed(array.shape)
 
 
-_lock = threading.Lock()
-_julia: Julia | None = None
-_warned = False
+class _Process:
+    """Holder of the one Julia of this process."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._julia: Julia | None = None
+
+    def julia(self) -> Julia:
+        with self._lock:
+            if self._julia is None:
+                self._julia = Julia()
+            return self._julia
 
 
-def running() -> Julia:
-    """Return it, started if need be."""
-    global _julia
-    with _lock:
-        if _julia is None:
-            _julia = Julia()
-        return _julia
+running = _Process().julia
+"""Return the :class:`Julia` of this process, started if necessary."""
 
 
 def start() -> types.ModuleType:
@@ -168,53 +179,47 @@ def start() -> types.ModuleType:
     Raises
     ------
     EngineUnavailableError
-        Saying what is missing and how to mend it.
+        If Julia cannot start; the message says what is missing and what to do.
     """
-    choice = choose()
-    status = status_of(choice)
-    if choice.source == "running":
-        _warn_if_foreign(status)
-    elif not (status.usable or status.installable):
-        raise EngineUnavailableError(status.message)
-    elif status.threads != "1" and status.handle_signals == "no":
-        raise EngineUnavailableError(
-            f"Julia with {status.threads} threads must handle signals, or it dies of its own: "
-            f"unset {SIGNALS}, or set {THREADS}=1."
-        )
+    status = julia_status()
+    if status.source == "running":
+        warn_about_signals(status)
     else:
-        for name, value in {**choice.environment, **juliacall_settings()}.items():
-            os.environ.setdefault(name, value)
-        if choice.executable and choice.project:
-            os.environ[EXECUTABLE] = choice.executable
-            os.environ[PROJECT] = choice.project
-        if status.installable:
-            print(
-                "pcnde_bridge installs Julia and its packages, once; this takes some minutes.",
-                file=sys.stderr,
-            )
+        _prepare(status)
     try:
         import juliacall
     except Exception as error:
+        output = str(getattr(error, "stderr", None) or error).strip().splitlines() or [repr(error)]
         raise EngineUnavailableError(
-            f"Julia did not start: {_last_line(error)}. {how_to_prepare()}"
+            f"Julia did not start: {output[-1].rstrip('.')}. {how_to_prepare()}"
         ) from error
     return juliacall  # type: ignore[no-any-return]
 
 
-def _last_line(error: Exception) -> str:
-    output = getattr(error, "stderr", None) or str(error)
-    return str(output).strip().splitlines()[-1].rstrip(".") if str(output).strip() else repr(error)
+def _prepare(status: JuliaStatus) -> None:
+    """Set juliacall's variables, or raise if Julia cannot start."""
+    if not (status.usable or status.installable):
+        raise EngineUnavailableError(status.message)
+    if status.threads != "1" and status.handle_signals == "no":
+        raise EngineUnavailableError(
+            f"Julia with {status.threads} threads must handle signals, otherwise the process "
+            f"crashes: unset {SIGNALS}, or set {THREADS}=1."
+        )
+    for name, value in {**status.environment, **juliacall_settings()}.items():
+        os.environ.setdefault(name, value)
+    if status.installable:
+        print("Installing Julia and its packages once; this takes some minutes.", file=sys.stderr)
+    elif status.source == "file":
+        os.environ[EXECUTABLE], os.environ[PROJECT] = str(status.executable), str(status.project)
 
 
-def _warn_if_foreign(status: JuliaStatus) -> None:
-    """Warn, once, of another package's settings that are not safe."""
-    global _warned
-    if status.threads != "1" and status.handle_signals == "no" and not _warned:
-        _warned = True
+def warn_about_signals(status: JuliaStatus) -> None:
+    """Warn if another package has started Julia with unsafe settings."""
+    if status.threads != "1" and status.handle_signals == "no":
         warnings.warn(
             f"Julia was already started by another package with {status.threads} threads but "
-            "without its signals, and may crash. Make the pcnde_bridge engine first, or set "
+            "without its signals, and may crash. Create the pcnde_bridge engine first, or set "
             f"{SIGNALS}=yes.",
             PCNDEWarning,
-            stacklevel=5,
+            stacklevel=6,
         )

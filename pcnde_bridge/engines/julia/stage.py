@@ -1,9 +1,7 @@
-"""One stage in Julia: solved, compared with a target, fitted."""
+"""One stage of the method in Julia: solution, loss, gradient and fit."""
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import fields
 from typing import Any, Generic, TypeVar
 
 from pcnde_bridge._typing import Array
@@ -11,11 +9,7 @@ from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.runtime import Julia
-from pcnde_bridge.engines.protocol import (
-    Fit,
-    Objective,
-    OnIteration,
-)
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, arrays_of
 
 __all__ = ["JuliaStage"]
 
@@ -23,7 +17,7 @@ InputsT = TypeVar("InputsT")
 
 
 class JuliaStage(Generic[InputsT]):
-    """One stage; see :class:`pcnde_bridge.engines.protocol.Stage`."""
+    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Stage`."""
 
     def __init__(self, julia: Julia, name: str) -> None:
         self._julia = julia
@@ -31,8 +25,9 @@ class JuliaStage(Generic[InputsT]):
 
     def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
+        where = grid.z, float(grid.period)
         result: Array = self._julia.call(
-            "solve", self._name, parameters, _arrays(inputs), grid.z, float(grid.period), config
+            "solve", self._name, parameters, arrays_of(inputs), *where, config
         )
         return result
 
@@ -40,8 +35,9 @@ class JuliaStage(Generic[InputsT]):
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        args = parameters, inputs, target, grid, config
-        loss, gradient = self._compare("loss_and_gradient", *args)
+        loss, gradient = self._compare(
+            "loss_and_gradient", parameters, inputs, target, grid, config
+        )
         return float(loss), gradient
 
     def losses(
@@ -51,43 +47,22 @@ class JuliaStage(Generic[InputsT]):
         result: Array = self._compare("losses", parameters, inputs, target, grid, config)
         return result
 
-    def _compare(
-        self,
-        function: str,
-        parameters: Array,
-        inputs: InputsT,
-        target: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-        *more: Any,
-    ) -> Any:
-        """Call what compares the stage's result with a target."""
-        where = grid.z, float(grid.period)
-        arrays = _arrays(inputs)
-        return self._julia.call(
-            function, self._name, parameters, arrays, target, *where, config, *more
-        )
-
     def objective(
         self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         chosen = weight > 0
-        chosen_inputs = dataclasses.replace(
-            inputs,  # type: ignore[type-var]
-            **{f.name: getattr(inputs, f.name)[chosen] for f in fields(inputs)},  # type: ignore[arg-type]
-        )
-        given = _arrays(chosen_inputs), target[chosen], weight[chosen]
-        ours = object()
+        arrays = tuple(array[chosen] for array in arrays_of(inputs))
+        data = arrays, target[chosen], weight[chosen], grid.z, float(grid.period), config
+        identity = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
-            # Julia keeps the last problem itself: Python's hold on one might be let go by
+            # Julia stores the last problem itself: a reference in Python might be released by
             # another thread.
-            if self._julia.held is not ours:
-                self._julia.held = None
-                period = float(grid.period)
-                self._julia.call("hold", self._name, *given, grid.z, period, config)
-                self._julia.held = ours
+            if self._julia.problem is not identity:
+                self._julia.problem = None
+                self._julia.call("hold", self._name, *data)
+                self._julia.problem = identity
             loss, gradient = self._julia.call("held_loss_and_gradient", parameters)
             return float(loss), gradient
 
@@ -104,20 +79,30 @@ class JuliaStage(Generic[InputsT]):
         on_iteration: OnIteration | None = None,
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        with interrupts.kept() as look:
+        with interrupts.kept() as raise_interrupt:
 
             def after_iteration(number: int, loss: float) -> None:
-                # Called even if nobody listens: here Python notices a Ctrl-C.
-                look()
+                # Called even without a callback: here Python notices a Ctrl-C.
+                raise_interrupt()
                 if on_iteration is not None:
                     on_iteration(int(number), float(loss))
 
-            args = parameters, inputs, target, grid, config
+            problem = parameters, inputs, target, grid, config
             fitted, losses, converged, message = self._compare(
-                "fit", *args, iterations, after_iteration
+                "fit", *problem, iterations, after_iteration
             )
         return Fit(fitted, losses, bool(converged), str(message))
 
-
-def _arrays(inputs: Any) -> tuple[Array, ...]:
-    return tuple(getattr(inputs, f.name) for f in fields(inputs))
+    def _compare(
+        self,
+        function: str,
+        parameters: Array,
+        inputs: InputsT,
+        target: Array,
+        grid: Grid,
+        config: PCNDEConfig,
+        *more: Any,
+    ) -> Any:
+        """Call a function that compares the stage's result with a target."""
+        data = arrays_of(inputs), target, grid.z, float(grid.period), config
+        return self._julia.call(function, self._name, parameters, *data, *more)

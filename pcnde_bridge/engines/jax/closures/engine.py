@@ -24,7 +24,6 @@ from pcnde_bridge.config import (
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.closure_protocol import Problem
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.coupling import (
     VesselModes,
@@ -33,7 +32,7 @@ from pcnde_bridge.engines.jax.closures.coupling import (
 )
 from pcnde_bridge.engines.jax.closures.pressure_losses import REVERSED
 from pcnde_bridge.engines.jax.closures.wall import displacement
-from pcnde_bridge.engines.protocol import Solution
+from pcnde_bridge.engines.types import Problem, Solution
 from pcnde_bridge.errors import SolveError
 
 __all__ = ["JaxClosures"]
@@ -55,7 +54,7 @@ _CONVERGED = 1e-4
 
 
 class JaxClosures:
-    """See :class:`pcnde_bridge.engines.closure_protocol.Closures`."""
+    """JAX implementation of :class:`pcnde_bridge.engines.protocol.Closures`."""
 
     def __init__(self) -> None:
         # The vessels of the last batch, with what they were computed from.

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from pcnde_bridge.engines.julia.engine import julia_status
-from pcnde_bridge.engines.julia.status import choose
+from pcnde_bridge.engines.julia.environment import julia_status
 
 pytestmark = pytest.mark.julia
 
 # Of the checkout: an installed package has no tests with it.
-_TESTS = Path(__file__).parents[1] / "julia" / "PCNDECore" / "test" / "runtests.jl"
+_TESTS = Path(__file__).parents[2] / "julia" / "PCNDECore" / "test" / "runtests.jl"
 
 
 def test_julias_own_tests_pass():
@@ -28,7 +27,7 @@ def test_julias_own_tests_pass():
             "--startup-file=no",
             str(_TESTS),
         ],
-        env={**choose().environment, **os.environ},
+        env={**status.environment, **os.environ},
         capture_output=True,
         text=True,
         check=False,
@@ -73,7 +72,7 @@ def test_no_thread_writes_on_after_another_failed():
             _ONE_CASE_FAILS,
             str(_TESTS.parents[1] / "src" / "over_cases.jl"),
         ],
-        env={**choose().environment, **os.environ},
+        env={**status.environment, **os.environ},
         capture_output=True,
         text=True,
         check=False,

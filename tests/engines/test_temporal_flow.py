@@ -12,7 +12,7 @@ from pcnde_bridge.config import PAPER
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_temporal_flow
-from pcnde_bridge.engines.protocol import TemporalFlowInputs
+from pcnde_bridge.engines.types import TemporalFlowInputs
 from pcnde_bridge.errors import SolveError
 
 N_TIMES, N_POINTS, N_CASES = 12, 7, 2

@@ -171,5 +171,5 @@ def test_check_names_stage_and_lengths(first, stage):
 
 
 def test_check_finds_another_grid(first):
-    with pytest.raises(InputError, match="8 instants, 6 points"):
+    with pytest.raises(InputError, match="8 time points, 6 points"):
         first.check(SMALL, 8, 6)

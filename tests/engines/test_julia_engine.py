@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import multiprocessing
 import os
@@ -21,20 +22,21 @@ import pytest
 
 from pcnde_bridge.cli.doctor import examine
 from pcnde_bridge.config import PAPER
-from pcnde_bridge.engines import select_engine, why_not_julia
-from pcnde_bridge.engines.julia import runtime as process
-from pcnde_bridge.engines.julia.engine import (
-    JuliaEngine,
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.julia import runtime
+from pcnde_bridge.engines.julia.engine import JuliaEngine
+from pcnde_bridge.engines.julia.environment import (
     JuliaStatus,
+    compatible,
+    core_version,
     julia_settings_file,
     julia_sources,
     julia_status,
+    juliacall_settings,
 )
-from pcnde_bridge.engines.julia.project import compatible, core_version
-from pcnde_bridge.engines.julia.status import juliacall_settings
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.engines.protocol import FlowInputs, FourierAreaInputs
 from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.engines.types import FlowInputs, FourierAreaInputs
 from pcnde_bridge.errors import (
     EngineError,
     EngineUnavailableError,
@@ -42,18 +44,7 @@ from pcnde_bridge.errors import (
     SolveError,
 )
 
-_STATUS = julia_status()
 OUR_SERIES = core_version(julia_sources()).rpartition(".")[0]
-needs_julia = [
-    pytest.mark.julia,
-]
-
-
-def marked(test):
-    for mark in needs_julia:
-        test = mark(test)
-    return test
-
 
 # ---------------------------------------------------------------- without Julia
 
@@ -157,7 +148,6 @@ def test_a_project_that_cannot_be_read_is_not_usable(bare, damaged):
     (folder / damaged).write_bytes(b"\xff")
     status = julia_status()
     assert not status.usable and "cannot be read: 'utf-8' codec" in status.message
-    assert "cannot be read" in why_not_julia()
 
 
 def test_a_core_that_does_not_fit_is_refused(bare):
@@ -167,7 +157,7 @@ def test_a_core_that_does_not_fit_is_refused(bare):
     assert not status.usable and "PCNDECore 0.1.9" in status.message
     assert str(copy) in status.message and "Pkg.develop" in status.message
     with pytest.raises(EngineUnavailableError, match=r"0\.1\.9"):
-        process.start()
+        runtime.start()
 
 
 @pytest.mark.parametrize(
@@ -190,17 +180,16 @@ def test_signals_follow_the_threads(bare, monkeypatch):
     # What would die of Julia's own signals does not start.
     monkeypatch.setenv("PYTHON_JULIACALL_HANDLE_SIGNALS", "no")
     with pytest.raises(EngineUnavailableError, match="2 threads must handle signals"):
-        process.start()
+        runtime.start()
 
 
-def test_a_julia_that_may_crash_is_warned_of(monkeypatch):
-    monkeypatch.setattr(process, "_warned", False)
-    status = JuliaStatus(True, False, "", "running", threads="2", handle_signals="no")
+def test_a_julia_that_may_crash_gives_a_warning():
+    status = JuliaStatus(True, "", "running", threads="2", handle_signals="no")
     with pytest.warns(PCNDEWarning, match="2 threads"):
-        process._warn_if_foreign(status)
+        runtime.warn_about_signals(status)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        process._warn_if_foreign(status)  # once
+        runtime.warn_about_signals(dataclasses.replace(status, handle_signals="yes"))
 
 
 def test_variables_come_before_the_file(bare, monkeypatch):
@@ -221,14 +210,14 @@ def test_a_wrong_julia_is_refused(bare, answer, message):
     status = julia_status()
     assert not status.usable and message in status.message
     with pytest.raises(EngineUnavailableError, match=message):
-        process.start()
+        runtime.start()
 
 
 def test_a_missing_julia_is_named(bare):
     settings_file(executable=str(bare / "absent"), project=str(bare))
     assert f"no Julia at {bare / 'absent'}" in julia_status().message
     with pytest.raises(EngineUnavailableError, match="absent"):
-        process.start()
+        runtime.start()
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"executable": "julia"}'])
@@ -247,7 +236,7 @@ def test_nothing_is_downloaded_unasked(bare, monkeypatch):
     status = julia_status()
     assert status.offline and not status.installable
     with pytest.raises(EngineUnavailableError, match="PYTHON_JULIACALL_EXE"):
-        process.start()
+        runtime.start()
 
 
 def test_the_julia_sources_are_found_and_declared():
@@ -284,26 +273,26 @@ def flow_problem(small_cases):
     return vector, inputs, cases.flow, grid, PAPER
 
 
-@marked
+@pytest.mark.julia
 def test_versions(engine):
     assert engine.name == "julia"
     assert {"julia", "PCNDECore", "OrdinaryDiffEqTsit5", "Lux", "Optim"} <= set(engine.versions)
     assert all(version[0].isdigit() for version in engine.versions.values())
 
 
-@marked
+@pytest.mark.julia
 def test_it_travels_to_another_process_as_a_name(engine):
     assert pickle.loads(pickle.dumps(engine)) is select_engine("julia")  # noqa: S301
 
 
-@marked
+@pytest.mark.julia
 def test_status_of_the_running_julia(engine):
     status = julia_status()
     assert status.usable and status.source == "running"
     assert status.packages["PCNDECore"] == engine.versions["PCNDECore"]
 
 
-@marked
+@pytest.mark.julia
 def test_results_are_numpys_own(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     flow = engine.flow.solve(vector, inputs, grid, config)
@@ -314,7 +303,7 @@ def test_results_are_numpys_own(engine, flow_problem):
         assert array.flags.owndata and array.flags.writeable and array.flags.c_contiguous
 
 
-@marked
+@pytest.mark.julia
 def test_any_memory_layout_will_do(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     expected = engine.flow.solve(vector, inputs, grid, config)
@@ -326,7 +315,7 @@ def test_any_memory_layout_will_do(engine, flow_problem):
     np.testing.assert_array_equal(found, expected)
 
 
-@marked
+@pytest.mark.julia
 def test_an_objective_keeps_no_view_of_its_inputs(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     arrays = [inputs.inflow.copy(), inputs.area.copy(), target.copy(), np.ones(len(target), bool)]
@@ -339,7 +328,7 @@ def test_an_objective_keeps_no_view_of_its_inputs(engine, flow_problem):
     np.testing.assert_array_equal(same_gradient, gradient)
 
 
-@marked
+@pytest.mark.julia
 def test_a_case_does_not_depend_on_its_neighbours(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     together = engine.flow.solve(vector, inputs, grid, config)
@@ -349,7 +338,7 @@ def test_a_case_does_not_depend_on_its_neighbours(engine, flow_problem):
     np.testing.assert_array_equal(together[[7]], alone)
 
 
-@marked
+@pytest.mark.julia
 def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     chosen = np.arange(len(target)) % 3 == 1
@@ -364,7 +353,7 @@ def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
         assert other(vector)[0] != loss
 
 
-@marked
+@pytest.mark.julia
 @pytest.mark.parametrize("loss", ["mean", "sum"])
 @pytest.mark.parametrize("steps", [12, None])
 def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss, steps):
@@ -384,7 +373,7 @@ def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss,
     assert found == pytest.approx(total, rel=1e-10 if steps else 1e-3)
 
 
-@marked
+@pytest.mark.julia
 def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     broken = np.full_like(vector, np.nan)
@@ -398,14 +387,14 @@ def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
         engine.flow.solve(vector, inputs, grid, few)
 
 
-@marked
+@pytest.mark.julia
 def test_julias_errors_keep_their_words(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     with pytest.raises(EngineError, match=r"the network has \d+ parameters, not 10"):
         engine.flow.solve(vector[:10], inputs, grid, config)
 
 
-@marked
+@pytest.mark.julia
 def test_iterations_reach_python_and_errors_come_back(engine, flow_problem):
     seen = []
     fit = engine.flow.fit(*flow_problem, 3, lambda number, loss: seen.append((number, loss)))
@@ -425,7 +414,7 @@ def test_iterations_reach_python_and_errors_come_back(engine, flow_problem):
     np.testing.assert_array_equal(engine.flow.fit(*flow_problem, 3).losses, fit.losses)
 
 
-@marked
+@pytest.mark.julia
 @pytest.mark.skipif(os.name == "nt", reason="signals are sent otherwise there")
 @pytest.mark.parametrize("listening", [True, False])
 def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
@@ -441,7 +430,7 @@ def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
     assert np.isfinite(engine.flow.fit(*flow_problem, 1).losses).all()
 
 
-@marked
+@pytest.mark.julia
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_ctrl_c_that_python_drops_ends_a_fit(engine, flow_problem, drop_ctrl_c):
     heard = []
@@ -456,7 +445,7 @@ def test_a_ctrl_c_that_python_drops_ends_a_fit(engine, flow_problem, drop_ctrl_c
     assert heard == [1, 2]
 
 
-@marked
+@pytest.mark.julia
 def test_a_fork_is_refused(engine, flow_problem, monkeypatch):
     monkeypatch.setattr(engine._julia, "_process", -1)
     with pytest.raises(EngineError, match="spawn"):
@@ -468,7 +457,7 @@ def _in_a_worker(problem):
     return JuliaEngine().flow.solve(vector, inputs, grid, config)
 
 
-@marked
+@pytest.mark.julia
 def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     with multiprocessing.get_context("spawn").Pool(1) as pool:
@@ -492,7 +481,7 @@ def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.Complet
     return done
 
 
-@marked
+@pytest.mark.julia
 def test_it_works_after_jax_and_leaves_main_alone():
     done = run(
         "import jax, jax.numpy as jnp; before = jnp.arange(3.0) * 2\n"
@@ -511,23 +500,24 @@ def test_it_works_after_jax_and_leaves_main_alone():
     assert done.returncode == 0, done.stderr
 
 
-@marked
+@pytest.mark.julia
 def test_a_julia_started_by_another_package_is_used():
-    if _STATUS.source == "juliapkg":
+    if julia_status().source == "juliapkg":
         pytest.skip("the other package would start Julia elsewhere")
     done = run(
         "import warnings; warnings.simplefilter('error', RuntimeWarning)\n"
         "from pcnde_bridge import PCNDEWarning\n"
         "warnings.simplefilter('error', PCNDEWarning)\n"
-        "from pcnde_bridge.engines import julia\n"
-        "choice = julia.status.choose()\n"
-        "import os; os.environ.update(choice.environment)\n"
+        "from pcnde_bridge.engines.julia.engine import JuliaEngine\n"
+        "from pcnde_bridge.engines.julia.environment import julia_status\n"
+        "status = julia_status()\n"
+        "import os; os.environ.update(status.environment)\n"
         "os.environ['PYTHON_JULIACALL_HANDLE_SIGNALS'] = 'yes'\n"
-        "os.environ['PYTHON_JULIACALL_EXE'] = choice.executable\n"
-        "os.environ['PYTHON_JULIACALL_PROJECT'] = choice.project\n"
+        "os.environ['PYTHON_JULIACALL_EXE'] = str(status.executable)\n"
+        "os.environ['PYTHON_JULIACALL_PROJECT'] = str(status.project)\n"
         "import juliacall\n"
-        "julia.JuliaEngine(); julia.JuliaEngine()\n"
-        "print(julia.julia_status())\n"
+        "JuliaEngine(); JuliaEngine()\n"
+        "print(julia_status())\n"
     )
     assert done.returncode == 0, done.stderr
     assert "handle_signals='yes'" in done.stdout
@@ -536,7 +526,8 @@ def test_a_julia_started_by_another_package_is_used():
 _THREADED = """
 import gc, pickle, sys, threading, time
 import numpy as np
-from pcnde_bridge.engines.julia.engine import JuliaEngine, julia_status
+from pcnde_bridge.engines.julia.engine import JuliaEngine
+from pcnde_bridge.engines.julia.environment import julia_status
 inputs, parameters = pickle.loads(sys.stdin.buffer.read())
 engine = JuliaEngine()
 print(julia_status())
@@ -558,7 +549,7 @@ np.savez("found.npz", *found)
 """
 
 
-@marked
+@pytest.mark.julia
 def test_two_threads_give_the_same_beside_pythons_threads(
     engine, flow_problem, small_cases, tmp_path
 ):
@@ -579,7 +570,7 @@ def test_two_threads_give_the_same_beside_pythons_threads(
             np.testing.assert_array_equal(found[name], array)
 
 
-@marked
+@pytest.mark.julia
 def test_another_thread_is_refused(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     with (
@@ -589,7 +580,7 @@ def test_another_thread_is_refused(engine, flow_problem):
         pool.submit(engine.flow.solve, vector, inputs, grid, config).result()
 
 
-@marked
+@pytest.mark.julia
 def test_an_error_holds_nothing_of_julias(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem
     with pytest.raises(EngineError) as caught:
@@ -600,7 +591,7 @@ def test_an_error_holds_nothing_of_julias(engine, flow_problem):
     assert "juliacall" not in kinds and caught.value.__context__ is None
 
 
-@marked
+@pytest.mark.julia
 def test_many_small_calls_do_not_leak_warnings(engine, small_cases):
     grid = small_cases.grid
     inputs = FourierAreaInputs(small_cases.flow, small_cases.area_undeformed)

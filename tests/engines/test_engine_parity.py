@@ -9,14 +9,14 @@ from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.parameters import STAGES, initial_parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import undeformed
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import undeformed
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_closures import (
+from helpers import (
     AREA,
     CONFIG,
     CORRECTED,

@@ -9,20 +9,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers import solve
 from scipy.integrate import cumulative_trapezoid, solve_ivp
-from test_closures import solve
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.engines.protocol import (
+from pcnde_bridge.engines.staged import predict_by_stages
+from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
-from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 

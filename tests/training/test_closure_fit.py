@@ -1,0 +1,167 @@
+"""Fits of the closures of the preset ``physics``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import (
+    AREA,
+    CONFIG,
+    CORRECTED,
+    INFLOW,
+    LOSSES,
+    MEMBRANE,
+    OUTLET,
+    PASSIVE,
+    as_cases,
+    solve,
+)
+
+from pcnde_bridge.config import PHYSICS
+from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines.closure_parameters import sizes
+from pcnde_bridge.errors import SolveError
+from pcnde_bridge.training import closure_fit as fit
+from pcnde_bridge.training.closure_trainer import ClosureTrainer
+
+
+@pytest.fixture(scope="module")
+def corrected():
+    return solve(CORRECTED)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return as_cases(solve())
+
+
+@pytest.fixture(scope="module")
+def closures():
+    return select_engine("jax").closures
+
+
+@pytest.mark.parametrize("kind", ["auto", "resistance"])
+def test_outlet_resistance_is_found(cases, kind):
+    found = fit.fit_outlet(cases, CONFIG.replace(outlet={"kind": kind}))
+    # Q(L) of the cases and their pressure belong together to the last pass's change.
+    assert found == pytest.approx(OUTLET, rel=1e-4)
+
+
+def test_given_outlet_is_kept(cases):
+    given = CONFIG.replace(outlet={"resistance": 9e4, "kind": "resistance"})
+    r1, r2, compliance, distal = fit.fit_outlet(cases, given)
+    assert (r1 + r2, compliance * r2) == (9e4, 0)
+    assert distal == pytest.approx(5e3 + 1e4 * cases.flow[:, :, -1].mean())
+    given = CONFIG.replace(outlet={"distal_pressure": 5e3})
+    assert fit.fit_outlet(cases, given) == pytest.approx(OUTLET, rel=1e-4)
+    assert fit.fit_outlet(cases, given)[3] == 5e3
+
+
+@pytest.mark.parametrize("distal", [None, 5e3])
+@pytest.mark.parametrize("kind", ["auto", "windkessel"])
+def test_windkessel_is_found(kind, distal):
+    outlet = np.array([2e4, 8e4, 2e-6, 5e3])
+    cases = as_cases(solve(PASSIVE.replace(outlet=outlet)))
+    settings = CONFIG.replace(outlet={"kind": kind, "distal_pressure": distal})
+    assert fit.fit_outlet(cases, settings) == pytest.approx(outlet, rel=1e-3)
+
+
+def test_losses_are_found_and_given_ones_kept(cases, closures):
+    # The cases' modes take the storage's shares from a uniform pressure: not to round-off.
+    assert fit.fit_losses(closures, cases, CONFIG) == pytest.approx(LOSSES, rel=1e-3)
+    given = CONFIG.replace(losses={"friction": 1.5, "jet_spread": 0.1})
+    friction, inertia, convection, spread = fit.fit_losses(closures, cases, given)
+    assert (friction, spread) == (1.5, 0.1)
+    assert (inertia, convection) == pytest.approx((1.1, 0.9), rel=0.2)
+    assert (inertia, convection) != (1.0, 1.0)
+
+
+def test_membrane_is_found(cases, closures):
+    assert fit.fit_wall(closures, cases, CONFIG) == pytest.approx(MEMBRANE, rel=0.01)
+
+
+def test_membrane_with_given_zero_pressure_is_found(cases, closures):
+    given = CONFIG.replace(wall={"zero_pressure": 2e3})
+    found = fit.fit_wall(closures, cases, given)
+    assert found == pytest.approx(MEMBRANE, rel=5e-3)
+    assert found[4] == 2e3
+    given = CONFIG.replace(wall={"stiffness": 1.1e6, "poisson": 0.4})
+    assert tuple(fit.fit_wall(closures, cases, given)[:2]) == (1.1e6, 0.4)
+
+
+@pytest.fixture(scope="module")
+def local_cases(cases):
+    """The same flow and pressure in a vessel of the local law, whose ends move."""
+    radius = np.sqrt(AREA / np.pi)
+    strain = (radius / radius[:, :1])[:, None] ** 0.7 * (cases.pressure - 2e3) / 2e6
+    area = np.pi * (radius[:, None] * (1 + strain)) ** 2
+    return as_cases((cases.flow, area, cases.pressure))
+
+
+def test_local_law_is_found(local_cases, closures):
+    config = CONFIG.replace(wall={"law": "local"})
+    found = fit.fit_wall(closures, local_cases, config)
+    assert found == pytest.approx([2e6, 0.7, 2e3], rel=0.01)
+
+
+def test_law_is_chosen_by_whether_the_ends_move(cases, local_cases):
+    def law(some, **wall):
+        config = PHYSICS.replace(wall=wall)
+        return ClosureTrainer(some, config, select_engine("jax")).config.wall.law
+
+    assert law(cases) == "membrane"
+    assert law(local_cases) == "local"
+    assert law(cases, law="local") == "local"
+
+
+def test_correction_starts_from_the_cases(cases, corrected):
+    found = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
+    # Central differences are 6 % off at the third harmonic of 32 instants.
+    assert found[0] == pytest.approx(1.3, rel=0.06)
+    assert found[1] < 0.06
+    given = CONFIG.replace(correction={"storage": 1.3})
+    found = fit.first_correction(as_cases(corrected), given, np.random.default_rng(0))
+    assert found[0] == 1.3
+    assert 0.3 < found[1] < 0.85
+    assert found.size == sizes(CONFIG)["correction"]
+    weights = fit.first_correction(cases, CONFIG, np.random.default_rng(1))[4:]
+    assert not np.array_equal(weights[:-1], found[4:-1])
+
+
+def test_storage_is_found_with_the_share_that_the_correction_hides(cases, closures):
+    first = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
+    first[0] = 0.8
+    found = fit.fit_correction(closures, PASSIVE, cases, CONFIG, first, np.ones(16), 15)
+    assert found.shape == first.shape
+    assert np.array_equal(found[1:4], first[1:4])
+    flow = solve(PASSIVE.replace(correction=found)).flow
+    # κ·(1 − g) shows in the flow: neither alone, but the storage must be that of the cases.
+    assert np.abs(flow - cases.flow).max() < 0.01 * np.abs(cases.flow - INFLOW[..., None]).max()
+
+
+def test_given_storage_is_kept(cases, closures):
+    given = CONFIG.replace(correction={"storage": 1.3})
+    first = fit.first_correction(cases, given, np.random.default_rng(0))
+    found = fit.fit_correction(closures, PASSIVE, cases, given, first, np.ones(16), 15)
+    assert found[0] == 1.3
+
+
+def test_cases_of_weight_zero_do_not_count(cases, closures):
+    flow = cases.flow.copy()
+    flow[:4, :, 1:] *= 1.1
+    other = as_cases((flow, cases.area, cases.pressure))
+    first = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
+    without = (np.arange(16) >= 4).astype(float)
+
+    def fitted(some, weight):
+        return fit.fit_correction(closures, PASSIVE, some, CONFIG, first, weight, 3)
+
+    assert np.array_equal(fitted(other, without), fitted(cases, without))
+    assert not np.array_equal(fitted(other, np.ones(16)), fitted(cases, np.ones(16)))
+
+
+def test_first_values_that_cannot_be_computed_are_an_error(cases, closures):
+    first = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
+    first[2] = np.nan
+    with pytest.raises(SolveError, match="Check the units of the training cases"):
+        fit.fit_correction(closures, PASSIVE, cases, CONFIG, first, np.ones(16), 3)
