@@ -25,7 +25,7 @@ from pcnde_bridge.hemodynamics.synthetic import OUTLET_RESISTANCE
 from pcnde_bridge.hemodynamics.tube_laws import LinearWall
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.plots.style import QUANTITIES, shown
+from pcnde_bridge.plots.style import QUANTITIES
 
 Limits = Mapping[str, tuple[Array, Array]]
 T = TypeVar("T")
@@ -213,7 +213,7 @@ class Explorer:
             return Line(cases.z + z[0], values)
 
         panels = self._panels(inputs, z, np.s_[0, instant, :], tube)
-        s_u = shown("area", found.area_undeformed[0])
+        s_u = QUANTITIES["area"].convert(found.area_undeformed[0])
         return _given(panels, "area", Line(z, s_u))
 
     def over(self, inputs: Inputs, point: int) -> dict[str, Panel]:
@@ -227,7 +227,7 @@ class Explorer:
             return Line(cases.time, np.array(values))
 
         panels = self._panels(inputs, time, np.s_[0, :, point], tube)
-        return _given(panels, "flow", Line(time, shown("flow", found.flow[0, :, 0])))
+        return _given(panels, "flow", Line(time, QUANTITIES["flow"].convert(found.flow[0, :, 0])))
 
     def _panels(
         self,

@@ -19,8 +19,8 @@ from pcnde_bridge.app.explorer import (
 from pcnde_bridge.app.inputs import Choices, Span
 from pcnde_bridge.plots.style import (
     PREDICTED,
+    QUANTITIES,
     TRUTH,
-    label,
 )
 
 BAND, GIVEN, TUBE, CURVE = range(4)
@@ -253,7 +253,7 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
     for row, name in enumerate(names, start=1):
         for trace in _TRACES:
             figure.add_trace(go.Scatter(x=_EMPTY, y=_EMPTY, mode="lines", **trace), row=row, col=1)
-        figure.update_yaxes(title_text=label(name), row=row, col=1)
+        figure.update_yaxes(title_text=QUANTITIES[name].label, row=row, col=1)
     figure.update_xaxes(title_text=abscissa, row=len(names), col=1)
     figure.update_xaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")
     figure.update_yaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")

@@ -34,7 +34,7 @@ from pcnde_bridge.model.metrics import (
 )
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.plots.paper_figures import outermost
+from pcnde_bridge.plots.paper_figures import hardest_case
 from pcnde_bridge.training import checkpoint as checkpoints
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def _write_predictions(
         prediction.to_frame().to_csv(
             temporary, index=False, float_format="%.7g", compression="gzip"
         )
-    hardest = outermost(test)
+    hardest = hardest_case(test)
     inflow = {"time": test.time, "inflow": test.inflow[hardest]}
     _write_table(folder / "inflow.csv", pd.DataFrame(inflow))
     area = {"z": test.z, "area": test.area_undeformed[hardest]}

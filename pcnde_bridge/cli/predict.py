@@ -39,7 +39,7 @@ from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
 
 if TYPE_CHECKING:
-    from pcnde_bridge.plots.paper_figures import Entry
+    from pcnde_bridge.plots.paper_figures import PaperFigure
 
 _IN_MEMORY = 256  # predictions of single cases, with their samples, while a table is written
 
@@ -192,7 +192,7 @@ def figures(
     """
     from pcnde_bridge.plots.paper_figures import (
         FIGURES,
-        Material,
+        FigureData,
         choose,
         make_figures,
     )
@@ -202,25 +202,25 @@ def figures(
     fitted = PCNDE.load(model, engine=engine.value)
     cases = load_cases(data)
     sets = split_of(cases, split)
-    material = Material(fitted, cases, sets["train"], sets.get("test"))
+    figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"))
     if data == "synthetic":
-        material.truth_label, material.other = "1D solver", None
+        figure_data.truth_label, figure_data.other = "1D solver", None
     elif data != "published":
-        material.truth_label = "truth"
+        figure_data.truth_label = "truth"
     if workers > 1:
-        material.executor = tasks.processes(workers)
+        figure_data.executor = tasks.processes(workers)
 
-    def announce(number: int, count: int, entry: Entry) -> None:
-        cost = f"; {entry.cost}" if entry.cost else ""
-        note(f"[{number}/{count}] {entry.name}: {entry.about}{cost}")
+    def announce(number: int, count: int, figure: PaperFigure) -> None:
+        cost = f"; {figure.cost}" if figure.cost else ""
+        note(f"[{number}/{count}] {figure.name}: {figure.description}{cost}")
 
-    made = make_figures(material, out, only=names, with_studies=studies, on_entry=announce)
+    made = make_figures(figure_data, out, only=names, with_studies=studies, on_figure=announce)
     for result in made:
         if result.reason:
-            say(f"{result.entry.name}: left out. {result.reason}")
+            say(f"{result.figure.name}: left out. {result.reason}")
         else:
-            say(f"{result.entry.name}: {', '.join(path.name for path in result.files)}")
+            say(f"{result.figure.name}: {', '.join(path.name for path in result.files)}")
     if not names and not studies:
-        left = [f"{entry.name} ({entry.cost})" for entry in FIGURES if entry.cost]
+        left = [f"{figure.name} ({figure.cost})" for figure in FIGURES if figure.cost]
         say(f"Not made without --studies: {', '.join(left)}.")
     say(f"The files are in {out}.")

@@ -1,34 +1,36 @@
-"""Figure of a data set: its waveforms, its geometries, and how it is divided."""
+"""Figure of a data set: its waveforms, its geometries, and its split."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.plots.style import (
-    PREDICTED,
-    SPACE,
-    TIME,
-    TRUTH,
-    new_figure,
-    plain,
-)
+from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_LINES: dict[str, dict[str, Any]] = {
+    "training": {"color": style.PREDICTED, "ls": "-", "lw": 1.0},
+    "test": {"color": style.TRUTH, "ls": "--", "lw": 1.8},
+}
+_MARKERS: dict[str, dict[str, Any]] = {
+    "training": {"color": style.PREDICTED, "marker": "s", "mfc": style.PREDICTED},
+    "test": {"color": style.TRUTH, "marker": "D", "mfc": "none"},
+}
+
 
 def data_set(train: Cases, test: Cases | None = None) -> Figure:
-    """Plot waveforms, geometries, and which cases are for training: figure 2 of the paper.
+    """Plot waveforms, geometries, and the split into training and test cases (figure 2).
 
     Parameters
     ----------
     train : Cases
-        The training cases.
+        Training cases.
     test : Cases, optional
-        The test cases.
+        Test cases.
 
     Returns
     -------
@@ -37,52 +39,36 @@ def data_set(train: Cases, test: Cases | None = None) -> Figure:
         as a matrix of geometries and waveforms (right).  Waveforms and geometries that
         only test cases have are drawn as test cases are.
     """
-    sets = {"training": train} | ({} if test is None else {"test": test})
-    figure, axes = new_figure(9.6, 3.2, 1, 3, width_ratios=(1, 1, 1.05))
+    subsets = {"training": train} | ({} if test is None else {"test": test})
+    figure, axes = style.new_figure(9.6, 3.2, 1, 3, width_ratios=(1, 1, 1.05))
     over_time, along, matrix = axes[0]
-    looks = {"training": (PREDICTED, "-", 1.0), "test": (TRUTH, "--", 1.8)}
-    seen: dict[str, set[object]] = {"waveform": set(), "geometry": set()}
-    for name, cases in sets.items():
-        colour, style, width = looks[name]
-        labels = cases.labels
-        for axis, kind in ((over_time, "waveform"), (along, "geometry")):
-            text: str | None = name
-            for key in sorted(set(labels[kind]) - seen[kind]):
-                first = int(np.flatnonzero(labels[kind] == key)[0])
-                if kind == "waveform":
-                    x, y = cases.time, cases.inflow[first]
-                else:
-                    x, y = cases.z, 10 * np.sqrt(cases.area_undeformed[first] / np.pi)
-                axis.plot(x, y, ls=style, lw=width, color=colour, label=text)
-                text = None
-            seen[kind] |= set(labels[kind])
+    drawn: dict[str, set[Any]] = {"waveform": set(), "geometry": set()}
+    for subset, cases in subsets.items():
+        radius = 10 * np.sqrt(cases.area_undeformed / np.pi)
+        for axis, kind, x, curves in (
+            (over_time, "waveform", cases.time, cases.inflow),
+            (along, "geometry", cases.z, radius),
+        ):
+            for key in sorted(set(cases.labels[kind]) - drawn[kind]):
+                row = int(np.flatnonzero(cases.labels[kind] == key)[0])
+                axis.plot(x, curves[row], **_LINES[subset])
+            drawn[kind] |= set(cases.labels[kind])
         matrix.plot(
-            labels["waveform"],
-            labels["geometry"],
-            "s" if name == "training" else "D",
+            cases.labels["waveform"],
+            cases.labels["geometry"],
+            ls="none",
             ms=6,
-            color=colour,
-            mfc=colour if name == "training" else "none",
-            label=name,
+            label=subset,
+            **_MARKERS[subset],
         )
-    over_time.set_xlabel(TIME)
-    over_time.set_ylabel("inflow Q_in (mL/s)")
-    along.set_xlabel(SPACE)
-    along.set_ylabel("undeformed radius (mm)")
+    over_time.set(xlabel=style.TIME_LABEL, ylabel="inflow Q_in (mL/s)")
+    along.set(xlabel=style.SPACE_LABEL, ylabel="undeformed radius (mm)")
     along.set_ylim(bottom=0)
-    matrix.set_xlabel("waveform")
-    matrix.set_ylabel("geometry")
-    matrix.set_xticks(sorted(seen["waveform"]))  # type: ignore[type-var]
-    matrix.set_yticks(sorted(seen["geometry"]))  # type: ignore[type-var]
+    matrix.set(xlabel="waveform", ylabel="geometry")
+    matrix.set(xticks=sorted(drawn["waveform"]), yticks=sorted(drawn["geometry"]))
     matrix.invert_yaxis()
-    for axis in (over_time, along):
-        plain(axis)
     matrix.tick_params(labelsize=8)
-    figure.legend(
-        *matrix.get_legend_handles_labels(),
-        loc="outside upper center",
-        ncols=2,
-        frameon=False,
-        fontsize=9,
-    )
+    style.format_axis(over_time)
+    style.format_axis(along)
+    style.add_legend(figure, matrix)
     return figure

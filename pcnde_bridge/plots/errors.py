@@ -1,197 +1,182 @@
-"""Figures of errors: case by case, point by point, and as box plots."""
+"""Figures of errors: per case, per grid point, and as box plots."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import (
-    ERRORS,
-    OTHER,
-    PREDICTED,
-    QUANTITIES,
-    SPACE,
-    TIME,
-    TRUTH,
-    VALUES,
-    label,
-    new_figure,
-    shown,
-)
+from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from pcnde_bridge.studies import PointwiseErrors
 
+_CELL = 0.34  # size of a matrix cell, inches
+_NARROWEST = 2.6  # width that the titles need, inches
+
 
 def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = None) -> Figure:
-    """Plot the relative error of every case: figure 4 d of the paper.
+    """Plot the relative error of every case (figure 4 d).
 
     Parameters
     ----------
     matrices : mapping of str to DataFrame
-        Of :func:`pcnde_bridge.studies.error_matrix`.
+        Result of :func:`pcnde_bridge.studies.error_matrix`.
     training : Cases, optional
-        The training cases, which get a frame.
+        Training cases, which are framed.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A panel for each variable with the errors in percent; geometries down,
-        waveforms across.
+        A panel for each variable with the errors in percent; a row for each geometry,
+        a column for each waveform.
 
     Raises
     ------
     InputError
-        If there is nothing to plot.
+        If there is no matrix.
     """
     if not matrices:
         raise InputError("There is no error matrix to plot.")
-    shape = next(iter(matrices.values())).shape
-    size = 0.34
-    # At least wide enough for the titles.
-    width = max(size * shape[1] + 0.5, 2.6)
-    figure, axes = new_figure(len(matrices) * width + 0.3, size * shape[0] + 0.85, 1, len(matrices))
+    rows, columns = next(iter(matrices.values())).shape
+    width = len(matrices) * max(_CELL * columns + 0.5, _NARROWEST) + 0.3
+    figure, axes = style.new_figure(width, _CELL * rows + 0.85, 1, len(matrices))
     for axis, (name, matrix) in zip(axes[0], matrices.items(), strict=True):
         percent = 100 * matrix.to_numpy()
         largest = np.nanmax(percent)
-        axis.imshow(percent, cmap=ERRORS, vmin=0, vmax=largest, aspect="equal")
+        axis.imshow(percent, cmap=style.ERROR_COLORS, vmin=0, vmax=largest, aspect="equal")
         for (row, column), value in np.ndenumerate(percent):
             if np.isfinite(value):
-                colour = "white" if value > 0.62 * largest else "black"
-                axis.text(
-                    column, row, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=6
-                )
-        axis.set_xticks(range(matrix.shape[1]), [str(key) for key in matrix.columns])
-        axis.set_yticks(range(matrix.shape[0]), [str(key) for key in matrix.index])
+                color = "white" if value > 0.62 * largest else "black"
+                center = {"ha": "center", "va": "center"}
+                axis.text(column, row, f"{value:.2f}", color=color, fontsize=6, **center)
+        axis.set_xticks(range(columns), [str(key) for key in matrix.columns])
+        axis.set_yticks(range(rows), [str(key) for key in matrix.index])
         axis.tick_params(labelsize=8)
         axis.set_xlabel("waveform")
-        axis.set_title(f"{QUANTITIES[name][0]}: relative error (%)", fontsize=10)
+        axis.set_title(f"{style.QUANTITIES[name].name}: relative error (%)", fontsize=10)
         if training is not None:
             _frame(axis, matrix, training)
     axes[0, 0].set_ylabel("geometry")
     return figure
 
 
-def _frame(axis: Any, matrix: pd.DataFrame, training: Cases) -> None:
-    """Draw a line between training cases and others, and around the training cases."""
+def _frame(axis: Axes, matrix: pd.DataFrame, training: Cases) -> None:
+    """Draw the outline of the training cases."""
     keys = set(training.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     inside = np.array([[(g, w) in keys for w in matrix.columns] for g in matrix.index])
     padded = np.pad(inside, 1)
-    look = {"color": TRUTH, "lw": 2.0, "solid_capstyle": "projecting", "clip_on": False}
-    for row, column in np.argwhere(padded[:, 1:] != padded[:, :-1]):
-        axis.plot([column - 0.5] * 2, [row - 1.5, row - 0.5], **look)
-    for row, column in np.argwhere(padded[1:] != padded[:-1]):
-        axis.plot([column - 1.5, column - 0.5], [row - 0.5] * 2, **look)
+    edges = [
+        ([column - 0.5] * 2, [row - 1.5, row - 0.5])
+        for row, column in np.argwhere(padded[:, 1:] != padded[:, :-1])
+    ]
+    edges += [
+        ([column - 1.5, column - 0.5], [row - 0.5] * 2)
+        for row, column in np.argwhere(padded[1:] != padded[:-1])
+    ]
+    for x, y in edges:
+        axis.plot(x, y, color=style.TRUTH, lw=2.0, solid_capstyle="projecting", clip_on=False)
 
 
 def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged") -> Figure:
-    """Plot truth, prediction and error over time and space: figure 6 of the paper.
+    """Plot truth, prediction and error over time and space (figure 6).
 
     Parameters
     ----------
     errors : PointwiseErrors
-        Of :func:`pcnde_bridge.studies.pointwise_errors`.
+        Result of :func:`pcnde_bridge.studies.pointwise_errors`.
     truth_label : str
-        What the case is, for the titles.
+        Name of the truth, for the titles.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A column for each variable: truth (top), prediction on the same colours, and
-        absolute error (bottom), of the area relative to the area at the first instant.
+        A column for each variable: truth (top), prediction on the same color scale, and
+        absolute error (bottom); the area's is relative to the area at the first time point.
     """
     case, names = errors.case, list(errors.predicted)
-    figure, axes = new_figure(2.9 * len(names), 6.6, 3, len(names), sharex=True, sharey=True)
+    figure, axes = style.new_figure(2.9 * len(names), 6.6, 3, len(names), sharex=True, sharey=True)
     for column, name in zip(axes.T, names, strict=True):
-        truth = shown(name, getattr(case, name)[0])
-        predicted = shown(name, errors.predicted[name])
+        quantity = style.QUANTITIES[name]
+        symbol = quantity.name.split()[-1]
+        truth = quantity.convert(getattr(case, name)[0])
+        predicted = quantity.convert(errors.predicted[name])
+        if name == "area":
+            error, error_label = errors.distance[name], f"|Δ{symbol}| / {symbol}(t = 0)"
+        else:
+            error = quantity.convert(errors.distance[name])
+            error_label = f"|Δ{symbol}| ({quantity.unit})"
         low, high = min(truth.min(), predicted.min()), max(truth.max(), predicted.max())
-        distance = errors.distance[name]
-        wrong = distance if name == "area" else shown(name, distance)
-        for axis, values, colours, limits in (
-            (column[0], truth, VALUES, (low, high)),
-            (column[1], predicted, VALUES, (low, high)),
-            (column[2], wrong, ERRORS, (0.0, wrong.max())),
-        ):
-            mesh = axis.pcolormesh(
+        meshes = [
+            axis.pcolormesh(
                 case.z,
                 case.time,
                 values,
-                cmap=colours,
-                vmin=limits[0],
-                vmax=limits[1],
+                cmap=colors,
+                vmin=least,
+                vmax=most,
                 shading="nearest",
                 rasterized=True,
             )
-            axis.tick_params(labelsize=8)
-            if axis is not column[0]:
-                both = axis is column[1]
-                bar = figure.colorbar(
-                    mesh, ax=column[:2] if both else axis, aspect=30 if both else 15
-                )
-                bar.set_label(label(name) if both else _distance(name), fontsize=8)
-                bar.ax.tick_params(labelsize=7)
-        column[0].set_title(QUANTITIES[name][0], fontsize=10)
-        column[2].set_xlabel(SPACE)
+            for axis, values, colors, least, most in (
+                (column[0], truth, style.VALUE_COLORS, low, high),
+                (column[1], predicted, style.VALUE_COLORS, low, high),
+                (column[2], error, style.ERROR_COLORS, 0.0, error.max()),
+            )
+        ]
+        for mesh, panels, aspect, label in (
+            (meshes[1], column[:2], 30, quantity.label),
+            (meshes[2], column[2], 15, error_label),
+        ):
+            bar = figure.colorbar(mesh, ax=panels, aspect=aspect)
+            bar.set_label(label, fontsize=8)
+            bar.ax.tick_params(labelsize=7)
+        column[0].set_title(quantity.name, fontsize=10)
+        column[2].set_xlabel(style.SPACE_LABEL)
+    for axis in axes.flat:
+        axis.tick_params(labelsize=8)
     for axis, text in zip(axes[:, 0], (truth_label, "PCNDE", "absolute error"), strict=True):
-        axis.set_ylabel(f"{text}\n{TIME}")
+        axis.set_ylabel(f"{text}\n{style.TIME_LABEL}")
     return figure
 
 
-def _distance(name: str) -> str:
-    """Label of an error's colours."""
-    symbol = QUANTITIES[name][0].split()[-1]
-    return (
-        f"|Δ{symbol}| / {symbol}(t = 0)"
-        if name == "area"
-        else f"|Δ{symbol}| ({QUANTITIES[name][1]})"
-    )
-
-
 def box_plots(statistics: pd.DataFrame) -> Figure:
-    """Plot medians, quartiles, whiskers and the largest error: figure 7 a of the paper.
+    """Plot medians, quartiles, whiskers and the largest error (figure 7 a).
 
     Parameters
     ----------
     statistics : DataFrame
-        Of :func:`pcnde_bridge.studies.box_statistics`.
+        Result of :func:`pcnde_bridge.studies.box_statistics`.
 
     Returns
     -------
     matplotlib.figure.Figure
         A panel for each variable, a box for each method: the line is the median, the
-        whiskers reach to the outermost values within 1.5 quartile distances, the
-        dotted line and the cross to the largest value.
+        whiskers end at the outermost values within 1.5 interquartile ranges of the box,
+        the dotted line and the cross reach the largest value.
 
     Raises
     ------
     InputError
-        If there is nothing to plot.
+        If there are no errors.
     """
     if statistics.empty:
         raise InputError("There are no errors to plot.")
     names = list(statistics.index.get_level_values("variable").unique())
     methods = list(statistics.index.get_level_values("method").unique())
-    figure, axes = new_figure(2.4 * len(names), 3.2, 1, len(names), sharey=True)
+    figure, axes = style.new_figure(2.4 * len(names), 3.2, 1, len(names), sharey=True)
+    keys = {"med": "median", "q1": "lower", "q3": "upper", "whislo": "low", "whishi": "high"}
     for axis, name in zip(axes[0], names, strict=True):
         rows = statistics.loc[name].reindex(methods).dropna() * 100
         boxes = [
-            {
-                "label": method,
-                "med": row["median"],
-                "q1": row["lower"],
-                "q3": row["upper"],
-                "whislo": row["low"],
-                "whishi": row["high"],
-                "fliers": [],
-            }
+            {"label": method, "fliers": []} | {key: row[column] for key, column in keys.items()}
             for method, row in rows.iterrows()
         ]
         drawn = axis.bxp(
@@ -199,17 +184,14 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
             widths=0.55,
             showfliers=False,
             patch_artist=True,
-            medianprops={"color": TRUTH, "lw": 2},
+            medianprops={"color": style.TRUTH, "lw": 2},
         )
-        for number, (patch, largest) in enumerate(
-            zip(drawn["boxes"], rows["largest"], strict=True)
-        ):
-            colour = (PREDICTED, OTHER)[number % 2]
-            patch.set(facecolor=colour, alpha=0.45)
-            high = boxes[number]["whishi"]
-            axis.plot([number + 1] * 2, [high, largest], ":", lw=1, color="black")
-            axis.plot(number + 1, largest, "x", ms=6, color="black")
-        axis.set_title(QUANTITIES[name][0], fontsize=10)
+        for number, (_, row) in enumerate(rows.iterrows()):
+            color = (style.PREDICTED, style.OTHER)[number % 2]
+            drawn["boxes"][number].set(facecolor=color, alpha=0.45)
+            axis.plot([number + 1] * 2, [row["high"], row["largest"]], ":", lw=1, color="black")
+            axis.plot(number + 1, row["largest"], "x", ms=6, color="black")
+        axis.set_title(style.QUANTITIES[name].name, fontsize=10)
         axis.grid(axis="y", alpha=0.3)
         axis.tick_params(labelsize=8)
         axis.set_ylim(bottom=0)

@@ -1,7 +1,4 @@
-"""Figures of the studies of formulations and loss landscapes.
-
-Colours are Okabe and Ito's, which colour-blind readers tell apart.
-"""
+"""Figures of the studies of formulations and loss landscapes."""
 
 from __future__ import annotations
 
@@ -10,29 +7,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import (
-    OTHER,
-    PREDICTED,
-    SPACE,
-    TIME,
-    TRUTH,
-    label,
-    new_figure,
-    place,
-    plain,
-)
-from pcnde_bridge.studies.formulations import FormulationStudy
-from pcnde_bridge.studies.landscapes import LandscapeStudy, Moment
+from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_STYLES = {
-    "truth": (TRUTH, "o", ""),  # the caller names it
-    "spatial": (PREDICTED, "-", "in space, $f(Q, S)$"),
-    "temporal": (OTHER, "-", "in time, $f(Q)$"),
-    "temporal_with_time": ("#CC79A7", "--", "in time, $f(Q, t)$"),
+    from pcnde_bridge.studies import FormulationStudy, LandscapeStudy
+    from pcnde_bridge.studies.landscapes import Moment
+
+_FORMULATIONS: dict[str, dict[str, Any]] = {
+    "truth": {
+        "color": style.TRUTH,
+        "ls": "none",
+        "marker": "o",
+        "ms": 2.5,
+        "mfc": "none",
+        "mew": 0.6,
+    },
+    "spatial": {"color": style.PREDICTED, "ls": "-", "label": "in space, $f(Q, S)$"},
+    "temporal": {"color": style.OTHER, "ls": "-", "label": "in time, $f(Q)$"},
+    "temporal_with_time": {"color": "#CC79A7", "ls": "--", "label": "in time, $f(Q, t)$"},
 }
 
 _EQUATIONS = {
@@ -50,89 +45,92 @@ _MOMENTS: dict[Moment, str] = {
 
 def smoothness(
     study: FormulationStudy,
-    part: str = "train",
+    subset: str = "train",
     case: int = 0,
     position: float = 0.9,
     *,
     truth_label: str = "3D, averaged",
 ) -> Figure:
-    """Plot flow, its slope and the area from continuity, in space and in time.
+    """Plot flow, its slope and the area from continuity for each formulation (figure 3).
 
     Parameters
     ----------
     study : FormulationStudy
-        Of :func:`pcnde_bridge.studies.compare_formulations`.
-    part : {'train', 'test'}
-        Which cases.
+        Result of :func:`pcnde_bridge.studies.compare_formulations`.
+    subset : {'train', 'test'}
+        Training or test cases.
     case : int
-        Which of them.
+        Position of the case that is shown.
     position : float
-        Where the lower row is taken, as a part of the vessel's length.
+        Position of the lower row, as a fraction of the vessel length.
     truth_label : str
-        What the cases are.
+        Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Above along the vessel at the peak of the inflow, below over time.
+        Values along the vessel at the peak of the inflow (top), and over time (bottom).
 
     Raises
     ------
     InputError
-        If there is no such case, or the position is not in the vessel.
+        If there is no such subset, case or position.
     """
-    if part not in study.cases or not -len(study.cases[part]) <= case < len(study.cases[part]):
-        raise InputError(f"The study has no case {case} of the set {part!r}.")
-    cases = study.cases[part]
-    z_index = place(cases, position)
-    t_index = int(cases.inflow[case].argmax())
-    figure, axes = new_figure(10, 5.4, 2, 3)
-    names = [name for name, which in study.results if which == part]
-    for name in names:
-        found = study.results[name, part]
-        colour, style, words = _STYLES[name]
-        # The truth of the area is the data's, not what continuity makes of the true flow.
+    if subset not in study.cases or not -len(study.cases[subset]) <= case < len(
+        study.cases[subset]
+    ):
+        raise InputError(f"The study has no case {case} in the subset {subset!r}.")
+    cases = study.cases[subset]
+    z_index, time_index = style.z_index_at(cases, position), int(cases.inflow[case].argmax())
+    figure, axes = style.new_figure(10, 5.4, 2, 3)
+    for (name, which), found in study.results.items():
+        if which != subset:
+            continue
+        look = {"label": truth_label, "lw": 1.5} | _FORMULATIONS[name]
+        # The true area is the measured one, not what continuity gives for the true flow.
         area = cases.area if name == "truth" else found.continuity_area
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
-            over: dict[str, Any] = {"color": colour, "label": words or truth_label, "lw": 1.5}
-            over |= {"ms": 2.5, "mfc": "none", "mew": 0.6} if name == "truth" else {}
-            axes[0, column].plot(cases.z, values[case, t_index], style, **over)
-            axes[1, column].plot(cases.time, values[case, :, z_index], style, **over)
-    titles = (label("flow"), "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)")
+            axes[0, column].plot(cases.z, values[case, time_index], **look)
+            axes[1, column].plot(cases.time, values[case, :, z_index], **look)
+    titles = (
+        style.QUANTITIES["flow"].label,
+        "slope ∂Q/∂z (mL/s/cm)",
+        "area S from continuity (mm²)",
+    )
     for column, title in enumerate(titles):
         axes[0, column].set_title(title, fontsize=10)
-        axes[0, column].set_xlabel(SPACE)
-        axes[1, column].set_xlabel(TIME)
-    for axis in axes.ravel():
-        plain(axis)
-    axes[0, 0].set_ylabel(f"t = {cases.time[t_index]:.2f} s")
+        axes[0, column].set_xlabel(style.SPACE_LABEL)
+        axes[1, column].set_xlabel(style.TIME_LABEL)
+    for axis in axes.flat:
+        style.format_axis(axis)
+    axes[0, 0].set_ylabel(f"t = {cases.time[time_index]:.2f} s")
     axes[1, 0].set_ylabel(f"z = {cases.z[z_index]:.1f} cm")
-    handles, texts = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, texts, loc="outside lower center", ncols=len(names), frameon=False)
+    style.add_legend(figure, axes[0, 0], "outside lower center")
     return figure
 
 
 def landscapes(study: LandscapeStudy) -> Figure:
-    """Plot the loss over the two amplitudes, for every right-hand side and both moments.
+    """Plot the loss over the two amplitudes for every right-hand side (figure 9).
 
     Parameters
     ----------
     study : LandscapeStudy
-        Of :func:`pcnde_bridge.studies.explore_landscapes`.
+        Result of :func:`pcnde_bridge.studies.explore_landscapes`.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A column for each right-hand side; each panel has its own, logarithmic scale of
-        colours, grey is where the equation diverges, and the cross is the trained network.
+        A column for each right-hand side, a row for each moment of training.  Each panel
+        has a logarithmic color scale of its own; the equation diverges in gray areas, and
+        the cross is the trained network.
     """
     names = list(study.outcomes)
     width = 2.9 * len(names) + 0.4
-    figure, axes = new_figure(width, 5.6, len(_MOMENTS), len(names), sharex=True, sharey=True)
-    for (moment, when), row in zip(_MOMENTS.items(), axes, strict=True):
+    figure, axes = style.new_figure(width, 5.6, len(_MOMENTS), len(names), sharex=True, sharey=True)
+    for (moment, description), row in zip(_MOMENTS.items(), axes, strict=True):
         for name, axis in zip(names, row, strict=True):
-            _panel(figure, axis, study, name, moment)
-        row[0].set_ylabel(f"{when}\n" + r"amplitude $\alpha_2$")
+            _plot_landscape(figure, axis, study, name, moment)
+        row[0].set_ylabel(f"{description}\n" + r"amplitude $\alpha_2$")
     for name, axis in zip(names, axes[0], strict=True):
         axis.set_title(_EQUATIONS.get(name, name), fontsize=12, pad=12)
     for axis in axes[-1]:
@@ -140,37 +138,34 @@ def landscapes(study: LandscapeStudy) -> Figure:
     return figure
 
 
-def _panel(figure: Figure, axis: Axes, study: LandscapeStudy, name: str, moment: Moment) -> None:
-    """One landscape, or why there is none."""
+def _plot_landscape(
+    figure: Figure, axis: Axes, study: LandscapeStudy, name: str, moment: Moment
+) -> None:
+    """Plot one landscape, or write why there is none."""
     from matplotlib.colors import LogNorm
 
     axis.set_facecolor("0.8")
     axis.set_box_aspect(1)
     landscape = study.landscape(name, moment)
     if landscape is None or landscape.diverged.all():
-        words = "diverges at all points" if landscape is not None else study.outcomes[name]
+        text = "diverges at all points" if landscape is not None else study.outcomes[name]
         for before, after in ((" at ", "\nat "), (" after ", "\nafter "), (", ", ",\n")):
-            words = words.replace(before, after)
-        axis.text(0.5, 0.5, words, ha="center", va="center", transform=axis.transAxes, fontsize=9)
+            text = text.replace(before, after)
+        axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes, fontsize=9)
         return
-    finite = landscape.losses[~landscape.diverged]
-    # pcolormesh has columns along x: α₁ is the first index.
+    x = landscape.amplitudes
+    losses = landscape.losses.T  # matplotlib has x along the columns, the first index is α₁
+    low, high = (limit(losses[np.isfinite(losses)]) for limit in (np.min, np.max))
     mesh = axis.pcolormesh(
-        landscape.amplitudes,
-        landscape.amplitudes,
-        np.ma.masked_where(landscape.diverged, landscape.losses).T,
-        norm=LogNorm(finite.min(), max(finite.max(), 1.001 * finite.min())),
+        x,
+        x,
+        np.ma.masked_invalid(losses),
+        norm=LogNorm(low, max(high, 1.001 * low)),
         cmap="cividis",
         shading="nearest",
     )
     if not landscape.diverged.any():
-        axis.contour(
-            landscape.amplitudes,
-            landscape.amplitudes,
-            landscape.losses.T,
-            levels=np.geomspace(finite.min(), finite.max(), 9)[1:-1].tolist(),
-            colors="white",
-            linewidths=0.6,
-        )
-    axis.plot(0, 0, "+", ms=9, color=TRUTH)
+        levels = np.geomspace(low, high, 9)[1:-1]
+        axis.contour(x, x, losses, levels=levels, colors="white", linewidths=0.6)
+    axis.plot(0, 0, "+", ms=9, color=style.TRUTH)
     figure.colorbar(mesh, ax=axis, shrink=0.75, label="loss (mL²/s²)")

@@ -1,13 +1,14 @@
-"""The paper's figures from a model and a data set: what ``pcnde figures`` makes.
+"""The paper's figures for a model and a data set, as ``pcnde figures`` writes them.
 
-To add a figure, write a function from :class:`Material` to :class:`Drawn` and name it
-in :data:`FIGURES`.
+To add a figure, write a function from :class:`FigureData` to :class:`DrawnFigure` with the
+decorator :func:`paper_figure`, and list it in :data:`FIGURES`.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,44 +24,36 @@ from pcnde_bridge._utils.files import atomic_write, make_folder
 from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import (
-    EngineError,
-    FileError,
-    InputError,
-    SolveError,
-)
-from pcnde_bridge.evaluation.baselines import (
-    FEM_WALL,
-    Baseline,
-    Solver1D,
-)
+from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
+from pcnde_bridge.evaluation.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.hemodynamics.synthetic import fewer_words
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = ("png", "pdf")
-"""Every figure is written in each of these; its numbers as CSV."""
+"""Formats of every figure; its numbers are written as CSV."""
 
 _DPI = 200
 
 _log = logging.getLogger("pcnde_bridge")
 
 
-def outermost(cases: Cases) -> int:
-    """Position of the case with the largest geometry, and there the largest waveform label.
+def hardest_case(cases: Cases) -> int:
+    """Return the position of the largest waveform label in the largest geometry label.
 
-    In the published data that is the narrowest stenosis under the strongest wave.
+    In the published data this is the narrowest stenosis with the strongest waveform.
     """
     labels = cases.labels
     return int(np.lexsort((labels["waveform"], labels["geometry"]))[-1])
 
 
 @dataclass
-class Material:
-    """What figures are made of; whatever is computed is computed once, when asked for.
+class FigureData:
+    """Model and cases of the figures; everything is computed once, on first use.
 
     Attributes
     ----------
@@ -69,16 +62,16 @@ class Material:
     cases : Cases
         The whole data set.
     train : Cases
-        The training cases.
+        Training cases.
     test : Cases or None
-        The test cases.
+        Test cases.
     truth_label : str
-        What the cases are, for legends.
+        Name of the truth, for legends.
     other : Baseline or None
-        Another method to compare with; by default the 1D solver with the wall that
-        the paper's "1D FEM" was computed with.
-    executor : Executor, or callable that makes one, or None
-        Who runs the tasks of studies.
+        Another method for comparison; by default the 1D solver with the wall of the
+        paper's "1D FEM".
+    executor : Executor, or callable that creates one, or None
+        Executor for the tasks of studies.
     """
 
     model: PCNDE
@@ -90,263 +83,280 @@ class Material:
     executor: Workers | None = None
 
     @property
-    def judged(self) -> Cases:
+    def evaluated(self) -> Cases:
         """The test cases, or the training cases if there are none."""
         return self.train if self.test is None else self.test
 
     @cached_property
     def hardest(self) -> Cases:
-        """One case: :func:`outermost` of those judged."""
-        return self.judged.select(outermost(self.judged))
+        """The :func:`hardest_case` of the evaluated ones."""
+        return self.evaluated.select(hardest_case(self.evaluated))
 
     @cached_property
     def _predicted(self) -> dict[str, Array]:
-        # The truth is at hand: the errors show what extrapolation does.
-        return self.model.predict_silently(self.cases).variables()
-
-    def predicted(self, of: Cases) -> dict[str, Array]:
-        """Flow, area and pressure of some of the cases, by the model."""
-        rows = _positions(self.cases, of)
-        return {name: values[rows] for name, values in self._predicted.items()}
+        with warnings.catch_warnings():  # the figures show the errors of extrapolation
+            warnings.simplefilter("ignore", OutsideTrainingWarning)
+            return self.model.predict(self.cases).variables()
 
     @cached_property
-    def _other(self) -> dict[str, Array]:
-        assert self.other is not None
-        with fewer_words():
-            return self.other.fit(self.train).predict(self.judged)
-
-    def by_other(self, of: Cases) -> dict[str, Array] | None:
-        """Flow, area and pressure of some of the judged cases by the other method.
-
-        None if there is none, or if it does not suit the data.
-        """
+    def _other(self) -> dict[str, Array] | None:
         if self.other is None:
             return None
         try:
-            found = self._other
+            with fewer_words():
+                return self.other.fit(self.train).predict(self.evaluated)
         except (InputError, EngineError) as error:
-            _log.warning("The figures leave the other method out: %s", error)
-            self.other = None
+            _log.warning("The figures omit the other method: %s", error)
             return None
-        rows = _positions(self.judged, of)
-        return {name: values[rows] for name, values in found.items()}
+
+    def predicted(self, subset: Cases) -> dict[str, Array]:
+        """Return flow, area and pressure of some of the cases, predicted by the model."""
+        return _select(self._predicted, self.cases, subset)
+
+    def by_other(self, subset: Cases) -> dict[str, Array] | None:
+        """Return the variables of some evaluated cases, computed by the other method.
+
+        None if there is no other method, or it cannot handle the data.
+        """
+        return None if self._other is None else _select(self._other, self.evaluated, subset)
 
 
-def _positions(cases: Cases, of: Cases) -> list[int]:
-    """Where some of the cases are among all."""
-    names = ["geometry", "waveform"]
-    place = {key: i for i, key in enumerate(cases.labels[names].itertuples(False, None))}
-    return [place[key] for key in of.labels[names].itertuples(False, None)]
+def _select(arrays: dict[str, Array], cases: Cases, subset: Cases) -> dict[str, Array]:
+    """Return the rows of a subset from arrays of all cases."""
+    keys, wanted = (
+        list(some.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
+        for some in (cases, subset)
+    )
+    position = {key: i for i, key in enumerate(keys)}
+    rows = [position[key] for key in wanted]
+    return {name: values[rows] for name, values in arrays.items()}
 
 
-class Drawn(NamedTuple):
-    """A figure, and the numbers behind it if it has scalar ones."""
+class DrawnFigure(NamedTuple):
+    """A figure, and the scalar numbers behind it if it has any."""
 
     figure: Figure
     numbers: pd.DataFrame | None = None
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A figure that can be made.
+class PaperFigure:
+    """A figure that can be created.
 
     Attributes
     ----------
     name : str
-        Of the files, and for ``--only``.
-    about : str
-        What it shows, and its place in the paper.
+        Name of the files, and value of ``--only``.
+    description : str
+        Content of the figure, and its place in the paper.
     draw : callable
-        Makes it.
+        Function that draws the figure.
     cost : str
-        Of a study that is made only when asked for: what takes long.  Empty for
+        Reason why a study takes long; it is then created on request only.  Empty for
         figures of the model as it is.
     """
 
     name: str
-    about: str
-    draw: Callable[[Material], Drawn]
+    description: str
+    draw: Callable[[FigureData], DrawnFigure]
     cost: str = ""
 
 
-def _data_set(material: Material) -> Drawn:
-    return Drawn(plots.data_set(material.train, material.test))
+def paper_figure(
+    name: str, description: str, cost: str = ""
+) -> Callable[[Callable[[FigureData], DrawnFigure]], PaperFigure]:
+    """Turn a function that draws into a :class:`PaperFigure`."""
+    return lambda draw: PaperFigure(name, description, draw, cost)
 
 
-def _history(material: Material) -> Drawn:
-    return Drawn(plots.loss_history(material.model.history))
+@paper_figure("data-set", "waveforms, geometries and split (figure 2)")
+def _data_set(data: FigureData) -> DrawnFigure:
+    return DrawnFigure(plots.data_set(data.train, data.test))
 
 
-def _results(material: Material) -> Drawn:
-    labels = material.judged.labels["geometry"]
-    shown = material.judged.select(geometry=labels.max())
+@paper_figure("history", "losses of the training (not in the paper)")
+def _history(data: FigureData) -> DrawnFigure:
+    return DrawnFigure(plots.loss_history(data.model.history))
+
+
+@paper_figure("results", "flow, area and pressure over time and space (figure 4 a–c)")
+def _results(data: FigureData) -> DrawnFigure:
+    narrowest = data.evaluated.select(geometry=data.evaluated.labels["geometry"].max())
     figure = plots.results(
-        material.predicted(shown),
-        shown,
-        other=material.by_other(shown),
-        area_case=outermost(shown),
-        truth_label=material.truth_label,
+        data.predicted(narrowest),
+        narrowest,
+        other=data.by_other(narrowest),
+        area_case=hardest_case(narrowest),
+        truth_label=data.truth_label,
     )
-    rows = {("PCNDE", "train"): pooled_errors(material.predicted(material.train), material.train)}
-    if material.test is not None:
-        rows["PCNDE", "test"] = pooled_errors(material.predicted(material.test), material.test)
-    other = material.by_other(material.judged)
+    rows = {("PCNDE", "train"): pooled_errors(data.predicted(data.train), data.train)}
+    if data.test is not None:
+        rows["PCNDE", "test"] = pooled_errors(data.predicted(data.test), data.test)
+    other = data.by_other(data.evaluated)
     if other is not None:
-        name = "train" if material.test is None else "test"
-        rows["1D solver", name] = pooled_errors(other, material.judged)
+        subset = "train" if data.test is None else "test"
+        rows["1D solver", subset] = pooled_errors(other, data.evaluated)
     index = pd.MultiIndex.from_tuples(list(rows), names=["method", "set"])
-    return Drawn(figure, pd.DataFrame(list(rows.values()), index=index))
+    return DrawnFigure(figure, pd.DataFrame(list(rows.values()), index=index))
 
 
-def _error_matrix(material: Material) -> Drawn:
-    matrices = studies.error_matrix(material.predicted(material.cases), material.cases)
-    return Drawn(
-        plots.error_matrix(matrices, material.train), pd.concat(matrices, names=["variable"])
-    )
+@paper_figure("error-matrix", "relative error of every case (figure 4 d)")
+def _error_matrix(data: FigureData) -> DrawnFigure:
+    matrices = studies.error_matrix(data.predicted(data.cases), data.cases)
+    figure = plots.error_matrix(matrices, data.train)
+    return DrawnFigure(figure, pd.concat(matrices, names=["variable"]))
 
 
-def _pressure_drop(material: Material) -> Drawn:
-    predicted = material.predicted(material.judged)
+@paper_figure("pressure-drop", "model, and Seeley and Young (figure 5)")
+def _pressure_drop(data: FigureData) -> DrawnFigure:
+    predicted = data.predicted(data.evaluated)
     if "pressure" not in predicted:
-        raise InputError("The model predicts no pressure, so it has no pressure drop.")
-    drops = studies.pressure_drops(
-        predicted["pressure"], material.judged, material.model.config.physics
-    )
-    figure = plots.pressure_drops(drops, truth_label=material.truth_label)
-    return Drawn(figure, drops.to_frame())
+        raise InputError("The model predicts no pressure, so there is no pressure drop to plot.")
+    drops = studies.pressure_drops(predicted["pressure"], data.evaluated, data.model.config.physics)
+    figure = plots.pressure_drops(drops, truth_label=data.truth_label)
+    return DrawnFigure(figure, drops.to_frame())
 
 
-def _pointwise_errors(material: Material) -> Drawn:
-    errors = studies.pointwise_errors(material.predicted(material.hardest), material.hardest)
-    figure = plots.pointwise_errors(errors, truth_label=material.truth_label)
-    return Drawn(figure, errors.to_frame())
+@paper_figure("pointwise-errors", "one case at all time points and grid points (figure 6)")
+def _pointwise_errors(data: FigureData) -> DrawnFigure:
+    errors = studies.pointwise_errors(data.predicted(data.hardest), data.hardest)
+    figure = plots.pointwise_errors(errors, truth_label=data.truth_label)
+    return DrawnFigure(figure, errors.to_frame())
 
 
-def _box_plots(material: Material) -> Drawn:
-    methods = {"PCNDE": material.predicted(material.judged)}
-    other = material.by_other(material.judged)
+@paper_figure("box-plots", "distribution of the relative errors (figure 7 a)")
+def _box_plots(data: FigureData) -> DrawnFigure:
+    methods = {"PCNDE": data.predicted(data.evaluated)}
+    other = data.by_other(data.evaluated)
     if other is not None:
         methods["1D solver"] = other
-    statistics = studies.box_statistics(methods, material.judged)
-    return Drawn(plots.box_plots(statistics), statistics)
+    statistics = studies.box_statistics(methods, data.evaluated)
+    return DrawnFigure(plots.box_plots(statistics), statistics)
 
 
-def _fourier_effect(material: Material) -> Drawn:
-    effect = studies.fourier_effect(material.model, material.train)
-    figure = plots.fourier_effect(effect, truth_label=material.truth_label)
-    return Drawn(figure, effect.to_frame())
+@paper_figure("fourier-effect", "area before and after the Fourier stage (figure 7 b)")
+def _fourier_effect(data: FigureData) -> DrawnFigure:
+    effect = studies.fourier_effect(data.model, data.train)
+    figure = plots.fourier_effect(effect, truth_label=data.truth_label)
+    return DrawnFigure(figure, effect.to_frame())
 
 
-def _noise(material: Material, noisy: studies.NoisyInput) -> Drawn:
-    study = studies.noise_study(material.model, material.hardest, noisy, executor=material.executor)
-    return Drawn(plots.noise(study, truth_label=material.truth_label), study.to_frame())
+def _noise(data: FigureData, noisy: studies.NoisyInput) -> DrawnFigure:
+    study = studies.noise_study(data.model, data.hardest, noisy, executor=data.executor)
+    return DrawnFigure(plots.noise(study, truth_label=data.truth_label), study.to_frame())
 
 
-def _noise_inflow(material: Material) -> Drawn:
-    return _noise(material, "inflow")
+@paper_figure("noise-inflow", "90 noisy inflows (figure 8)")
+def _noise_inflow(data: FigureData) -> DrawnFigure:
+    return _noise(data, "inflow")
 
 
-def _noise_area(material: Material) -> Drawn:
-    return _noise(material, "area_undeformed")
+@paper_figure("noise-area", "90 noisy undeformed areas (figure 10)")
+def _noise_area(data: FigureData) -> DrawnFigure:
+    return _noise(data, "area_undeformed")
 
 
-def _activations(material: Material) -> Drawn:
-    study = studies.activation_study(
-        material.model, material.train, material.test, executor=material.executor
-    )
-    return Drawn(plots.activations(study), study)
+@paper_figure(
+    "activations",
+    "pressure networks with five activation functions (section 3.2)",
+    cost="fits the pressure stages five times",
+)
+def _activations(data: FigureData) -> DrawnFigure:
+    study = studies.activation_study(data.model, data.train, data.test, executor=data.executor)
+    return DrawnFigure(plots.activations(study), study)
 
 
-def _recipe(material: Material) -> PCNDEConfig:
-    """Take the model's settings for studies that train anew, if they train in batches."""
-    config = material.model.config
+def _minibatch_config(model: PCNDE) -> PCNDEConfig:
+    """Return the model's settings if they train in minibatches, else the paper's."""
+    config = model.config
     if isinstance(config, PCNDEConfig) and config.training == "minibatch":
         return config
     return PAPER
 
 
-def _smoothness(material: Material) -> Drawn:
+@paper_figure(
+    "smoothness",
+    "momentum equation in time and in space (figure 3)",
+    cost="fits three flow networks",
+)
+def _smoothness(data: FigureData) -> DrawnFigure:
+    config = _minibatch_config(data.model)
     study = studies.compare_formulations(
-        material.train, material.test, config=_recipe(material), engine=material.model.engine
+        data.train, data.test, config=config, engine=data.model.engine
     )
-    figure = plots.smoothness(study, truth_label=material.truth_label)
-    return Drawn(figure, study.to_frame())
+    figure = plots.smoothness(study, truth_label=data.truth_label)
+    return DrawnFigure(figure, study.to_frame())
 
 
-def _landscapes(material: Material) -> Drawn:
-    recipe = _recipe(material)
-    # The figure needs no more than the first coupling.
-    recipe = recipe.replace(flow={"epochs": recipe.flow.couple_every})
-    study = studies.explore_landscapes(material.train, config=recipe, engine=material.model.engine)
-    return Drawn(plots.landscapes(study), study.to_frame())
+@paper_figure(
+    "loss-landscapes",
+    "physics terms in addition to the network (figure 9)",
+    cost="fits four flow networks until the first coupling",
+)
+def _landscapes(data: FigureData) -> DrawnFigure:
+    config = _minibatch_config(data.model)
+    # The figure needs the training until the first coupling only.
+    config = config.replace(flow={"epochs": config.flow.couple_every})
+    study = studies.explore_landscapes(data.train, config=config, engine=data.model.engine)
+    return DrawnFigure(plots.landscapes(study), study.to_frame())
 
 
 FIGURES = (
-    Entry("data-set", "waveforms, geometries and split (figure 2)", _data_set),
-    Entry("history", "losses of the training (not in the paper)", _history),
-    Entry("results", "flow, area and pressure over time and space (figure 4 a–c)", _results),
-    Entry("error-matrix", "relative error of every case (figure 4 d)", _error_matrix),
-    Entry("pressure-drop", "model, and Seeley and Young (figure 5)", _pressure_drop),
-    Entry("pointwise-errors", "one case at all instants and points (figure 6)", _pointwise_errors),
-    Entry("box-plots", "spread of the relative errors (figure 7 a)", _box_plots),
-    Entry(
-        "fourier-effect", "area before and after the Fourier stage (figure 7 b)", _fourier_effect
-    ),
-    Entry("noise-inflow", "90 noisy inflows (figure 8)", _noise_inflow),
-    Entry("noise-area", "90 noisy undeformed areas (figure 10)", _noise_area),
-    Entry(
-        "activations",
-        "pressure networks with five activation functions (section 3.2)",
-        _activations,
-        cost="fits the pressure stages five times",
-    ),
-    Entry(
-        "smoothness",
-        "momentum in time and in space (figure 3)",
-        _smoothness,
-        cost="fits three flow networks",
-    ),
-    Entry(
-        "loss-landscapes",
-        "physics terms beside the network (figure 9)",
-        _landscapes,
-        cost="fits four flow networks until the first coupling",
-    ),
+    _data_set,
+    _history,
+    _results,
+    _error_matrix,
+    _pressure_drop,
+    _pointwise_errors,
+    _box_plots,
+    _fourier_effect,
+    _noise_inflow,
+    _noise_area,
+    _activations,
+    _smoothness,
+    _landscapes,
 )
-"""All figures, in the order in which they are made."""
+"""All figures, in the order in which they are created."""
 
 
 @dataclass(frozen=True)
-class Made:
-    """What became of an entry.
+class FigureFiles:
+    """Files of a figure.
 
     Attributes
     ----------
-    entry : Entry
-        The entry.
+    figure : PaperFigure
+        The figure.
     files : tuple of pathlib.Path
-        What was written; empty if the figure does not suit the model or the data.
+        Written files; empty if the figure does not suit the model or the data.
     numbers : DataFrame or None
-        As in the CSV.
+        Numbers in the CSV file.
     reason : str
-        Why nothing was written.
+        Reason why nothing was written.
     """
 
-    entry: Entry
+    figure: PaperFigure
     files: tuple[Path, ...] = ()
     numbers: pd.DataFrame | None = None
     reason: str = ""
 
 
-def choose(only: Collection[str] = (), with_studies: bool = False) -> list[Entry]:
-    """Entries by their names, or all; studies are left out unless named or wanted.
+def choose(only: Collection[str] = (), with_studies: bool = False) -> list[PaperFigure]:
+    """Return the figures with these names, or all.
+
+    Parameters
+    ----------
+    only : collection of str
+        Names; empty for all figures.
+    with_studies : bool
+        Whether "all" includes the studies that take long.
 
     Raises
     ------
     InputError
-        If there is no figure of a name.
+        If there is no figure with one of the names.
     """
-    known = [entry.name for entry in FIGURES]
+    known = [figure.name for figure in FIGURES]
     unknown = [name for name in only if name not in known]
     if unknown:
         raise InputError(
@@ -354,81 +364,81 @@ def choose(only: Collection[str] = (), with_studies: bool = False) -> list[Entry
             f"{', '.join(known)}."
         )
     if only:
-        return [entry for entry in FIGURES if entry.name in only]
-    return [entry for entry in FIGURES if with_studies or not entry.cost]
+        return [figure for figure in FIGURES if figure.name in only]
+    return [figure for figure in FIGURES if with_studies or not figure.cost]
 
 
 def make_figures(
-    material: Material,
+    data: FigureData,
     out: str | os.PathLike[str],
     *,
     only: Collection[str] = (),
     with_studies: bool = False,
-    on_entry: Callable[[int, int, Entry], None] | None = None,
-) -> list[Made]:
-    """Make figures and write them into a folder, as PNG, PDF and, of their numbers, CSV.
+    on_figure: Callable[[int, int, PaperFigure], None] | None = None,
+) -> list[FigureFiles]:
+    """Draw figures and write them into a folder as PNG and PDF, with their numbers as CSV.
 
     Parameters
     ----------
-    material : Material
-        Model and data.
+    data : FigureData
+        Model and cases.
     out : path-like
-        The folder, made if it is not there.  Files of the same names are replaced, each
-        as a whole.
+        Folder, created if missing.  Files with the same names are replaced, each as a
+        whole.
     only : collection of str
-        Names of the figures to make; empty makes all.
+        Names of the figures; empty for all figures.
     with_studies : bool
-        Whether all includes those that take long (:attr:`Entry.cost`).
-    on_entry : callable, optional
-        Called with number, count and entry before each figure.
+        Whether "all" includes the studies that take long (:attr:`PaperFigure.cost`).
+    on_figure : callable, optional
+        Called with number, count and figure before each figure.
 
     Returns
     -------
-    list of Made
-        Files, or why there are none: a figure that does not suit the model, or whose
-        equations diverge, is left out.
+    list of FigureFiles
+        Files, or why there are none: a figure is left out if it does not suit the model
+        or its equations diverge.
 
     Raises
     ------
     InputError
-        If there is no figure of a name, one asked for by name does not suit the model
-        or the data, or the data's grid is not the model's.
+        If there is no figure with one of the names, a named figure does not suit the
+        model or the data, or the cases are not on the model's grid.
     SolveError
-        If the equations of a figure asked for by name diverge.
+        If the equations of a named figure diverge.
     FileError
         If the folder or a file cannot be written.
     """
-    entries = choose(only, with_studies)
-    material.model.check_grid(material.cases)
+    figures = choose(only, with_studies)
+    data.model.check_grid(data.cases)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder} is a file; give a folder for the figures.")
     make_folder(folder)
     made = []
-    for number, entry in enumerate(entries, 1):
-        if on_entry is not None:
-            on_entry(number, len(entries), entry)
+    for number, figure in enumerate(figures, 1):
+        if on_figure is not None:
+            on_figure(number, len(figures), figure)
         try:
-            drawn = entry.draw(material)
+            drawn = figure.draw(data)
         except (InputError, SolveError) as error:
             if only:
-                raise type(error)(f"{entry.name}: {error}") from error
-            made.append(Made(entry, reason=str(error)))
-            continue
-        made.append(Made(entry, _write(folder, entry.name, drawn), drawn.numbers))
+                raise type(error)(f"{figure.name}: {error}") from error
+            made.append(FigureFiles(figure, reason=str(error)))
+        else:
+            files = _write(folder, figure.name, drawn)
+            made.append(FigureFiles(figure, files, drawn.numbers))
     return made
 
 
-def _write(folder: Path, name: str, drawn: Drawn) -> tuple[Path, ...]:
-    files = []
-    for suffix in FORMATS:
-        # Without the date, the same figure is the same file.
-        options = {"metadata": {"CreationDate": None}} if suffix == "pdf" else {}
-        with atomic_write(path := folder / f"{name}.{suffix}") as temporary:
-            drawn.figure.savefig(temporary, dpi=_DPI, **options)  # type: ignore[arg-type]
-        files.append(path)
+def _write(folder: Path, name: str, drawn: DrawnFigure) -> tuple[Path, ...]:
+    files = [folder / f"{name}.{suffix}" for suffix in FORMATS]
+    for path in files:
+        # Without the date, the same figure gives the same file.
+        metadata = {"CreationDate": None} if path.suffix == ".pdf" else {}
+        with atomic_write(path) as temporary:
+            drawn.figure.savefig(temporary, dpi=_DPI, metadata=metadata)
     if drawn.numbers is not None:
-        with atomic_write(path := folder / f"{name}.csv") as temporary:
+        files.append(folder / f"{name}.csv")
+        with atomic_write(files[-1]) as temporary:
             drawn.numbers.to_csv(temporary)
-        files.append(path)
     return tuple(files)

@@ -1,4 +1,4 @@
-"""Figures of the paper's studies: pressure drop, Fourier stage, noise."""
+"""Figures of the studies of pressure drop, Fourier stage and noise."""
 
 from __future__ import annotations
 
@@ -6,71 +6,50 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import (
-    MMHG,
-    PREDICTED,
-    TIME,
-    TRUTH,
-    bundle,
-    case_name,
-    headings,
-    label,
-    legend_above,
-    letters,
-    moment,
-    new_figure,
-    place,
-    plain,
-    shown,
-)
+from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pcnde_bridge.studies import (
-        FourierEffect,
-        NoiseStudy,
-        PressureDrops,
-    )
+    from pcnde_bridge.studies import FourierEffect, NoiseStudy, PressureDrops
 
 
 def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -> Figure:
-    """Plot pressure drops over time beside the empirical formula: figure 5 of the paper.
+    """Plot pressure drops over time, with the empirical formula (figure 5).
 
     Parameters
     ----------
     drops : PressureDrops
-        Of :func:`pcnde_bridge.studies.pressure_drops`, on test cases.
+        Result of :func:`pcnde_bridge.studies.pressure_drops`, for test cases.
     truth_label : str
-        What the cases are, for the legend.
+        Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
-        All waveforms in the largest geometry label (a), and all geometries under the
+        All waveforms in the largest geometry label (a), and all geometries with the
         largest waveform label (b).
     """
     labels = drops.cases.labels
-    figure, axes = new_figure(7.2, 3.3, 1, 2)
+    figure, axes = style.new_figure(7.2, 3.3, 1, 2)
     for axis, fixed, varied in (
         (axes[0, 0], "geometry", "waveforms"),
         (axes[0, 1], "waveform", "geometries"),
     ):
         largest = labels[fixed].max()
         rows = (labels[fixed] == largest).to_numpy()
-        for values, look, name in (
-            (drops.truth, "truth", truth_label),
-            (drops.empirical, "empirical", "Seeley and Young"),
-            (drops.predicted, "model", "PCNDE"),
+        for method, label, values in (
+            ("truth", truth_label, drops.truth),
+            ("empirical", "Seeley and Young", drops.empirical),
+            ("model", "PCNDE", drops.predicted),
         ):
-            bundle(axis, drops.cases.time, values[rows] / MMHG, look, name)
+            style.plot_curves(axis, drops.cases.time, values[rows] / style.MMHG, method, label)
         axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied}", loc="left")
-        axis.set_xlabel(TIME)
-        plain(axis)
+        axis.set_xlabel(style.TIME_LABEL)
+        style.format_axis(axis)
     axes[0, 0].set_ylabel("pressure drop Δp (mmHg)")
-    letters(axes[0])
-    legend_above(figure, axes[0, 0])
+    style.letter_panels(axes[0])
+    style.add_legend(figure, axes[0, 0])
     return figure
 
 
@@ -80,112 +59,104 @@ def fourier_effect(
     position: float = 0.9,
     truth_label: str = "3D, averaged",
 ) -> Figure:
-    """Plot the area with and without the Fourier stage: figure 7 b of the paper.
+    """Plot the area with and without the Fourier stage (figure 7 b).
 
     Parameters
     ----------
     effect : FourierEffect
-        Of :func:`pcnde_bridge.studies.fourier_effect`.
+        Result of :func:`pcnde_bridge.studies.fourier_effect`.
     case : int
-        Which case.
+        Position of the case that is shown.
     position : float
-        Where, as a part of the vessel's length.
+        Position in the vessel, as a fraction of its length.
     truth_label : str
-        What the cases are, for the legend.
+        Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Area over two cycles: the area of the Fourier stage repeats, the other goes on
-        from the last cycle to where it would be in the next.
+        Area over two cycles: the area of the Fourier stage repeats; the intermediate
+        area continues from the last cycle, with its drift over a cycle.
 
     Raises
     ------
     InputError
-        If there is no such case or place.
+        If there is no such case or position.
     """
     cases = effect.cases
-    if not -len(cases) <= case < len(cases):
-        raise InputError(f"case is {case}; there are {len(cases)} cases.")
-    z_index = place(cases, position)
+    style.check_case("case", case, cases)
+    z_index = style.z_index_at(cases, position)
     time = np.concatenate([cases.time, cases.time + cases.period])
     first = effect.intermediate[case, :, z_index]
-    figure, axes = new_figure(5.8, 3.3)
+    intermediate = np.concatenate([first, first + effect.drift[case, z_index]])
+    figure, axes = style.new_figure(5.8, 3.3)
     axis = axes[0, 0]
     axis.axvline(cases.time[0] + cases.period, color="black", lw=0.8)
-    for values, look, name in (
-        (np.tile(cases.area[case, :, z_index], 2), "truth", truth_label),
-        (
-            np.concatenate([first, first + effect.drift[case, z_index]]),
-            "other",
-            "continuity equation Ŝ",
-        ),
-        (np.tile(effect.final[case, :, z_index], 2), "model", "Fourier stage S"),
+    for method, label, values in (
+        ("truth", truth_label, np.tile(cases.area[case, :, z_index], 2)),
+        ("other", "continuity equation Ŝ", intermediate),
+        ("model", "Fourier stage S", np.tile(effect.final[case, :, z_index], 2)),
     ):
-        bundle(axis, time, shown("area", values[None]), look, name)
-    axis.set_xlabel(TIME)
-    axis.set_ylabel(label("area"))
-    axis.set_title(f"{case_name(cases, case)}, z = {cases.z[z_index]:.2f} cm", fontsize=9)
-    plain(axis)
-    legend_above(figure, axis)
+        style.plot_curves(axis, time, style.QUANTITIES["area"].convert(values[None]), method, label)
+    axis.set(xlabel=style.TIME_LABEL, ylabel=style.QUANTITIES["area"].label)
+    axis.set_title(f"{style.case_name(cases, case)}, z = {cases.z[z_index]:.2f} cm", fontsize=9)
+    style.format_axis(axis)
+    style.add_legend(figure, axis)
     return figure
 
 
 def noise(
     study: NoiseStudy,
     position: float = 0.9,
-    instant: float = 0.25,
+    time_point: float = 0.25,
     truth_label: str = "3D, averaged",
 ) -> Figure:
-    """Plot mean and standard deviation of noisy predictions: figures 8 and 10 of the paper.
+    """Plot mean and standard deviation of noisy predictions (figures 8 and 10).
 
     Parameters
     ----------
     study : NoiseStudy
-        Of :func:`pcnde_bridge.studies.noise_study`.
+        Result of :func:`pcnde_bridge.studies.noise_study`.
     position : float
-        Where the left column is taken, as a part of the vessel's length.
-    instant : float
-        When the right column is taken, as a part of the cycle.
+        Position of the left column, as a fraction of the vessel length.
+    time_point : float
+        Time point of the right column, as a fraction of the cycle.
     truth_label : str
-        What the case is, for the legend.
+        Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
         A row for each variable, over time (left) and space (right), with axes of their
-        own; the band is one standard deviation to either side of the mean.
+        own; the band is one standard deviation on either side of the mean.
 
     Raises
     ------
     InputError
-        If there is no such place or instant.
+        If there is no such position or time point.
     """
     case = study.case
-    z_index, t_index = place(case, position), moment(case, instant)
-    figure, axes = new_figure(7.2, 2.2 * len(study.mean) + 0.3, len(study.mean), 2)
-    for row, (name, mean) in zip(axes, study.mean.items(), strict=True):
-        truth = getattr(case, name)[0]
-        deviation = study.deviation[name]
-        for axis, x, cut in (
-            (row[0], case.time, (slice(None), z_index)),
-            (row[1], case.z, (t_index, slice(None))),
-        ):
-            middle, width = shown(name, mean[cut]), shown(name, deviation[cut])
-            axis.fill_between(
-                x,
-                middle - width,
-                middle + width,
-                color=PREDICTED,
-                alpha=0.25,
-                lw=0,
-                label="± standard deviation",
+    z_index, time_index = style.z_index_at(case, position), style.time_index_at(case, time_point)
+    figure, axes = style.time_and_space_figure(
+        7.2, 2.2 * len(study.mean) + 0.3, list(study.mean), case, z_index, time_index
+    )
+    band = {"color": style.PREDICTED, "alpha": 0.25, "lw": 0, "label": "± standard deviation"}
+    for row, name in zip(axes, study.mean, strict=True):
+        truth, mean, width = (
+            style.QUANTITIES[name].convert(values)
+            for values in (
+                getattr(case, name)[0],
+                study.mean[name],
+                study.standard_deviation[name],
             )
-            axis.plot(x, shown(name, truth[cut]), "-", lw=1.4, color=TRUTH, label=truth_label)
-            axis.plot(x, middle, "--", lw=1.4, color=PREDICTED, label="mean of PCNDE")
-            plain(axis)
-        row[0].set_ylabel(label(name))
-    headings(axes, case, z_index, t_index)
-    letters(axes[:, 0])
-    legend_above(figure, axes[0, 0])
+        )
+        for axis, x, cut in (
+            (row[0], case.time, np.s_[:, z_index]),
+            (row[1], case.z, np.s_[time_index, :]),
+        ):
+            axis.fill_between(x, mean[cut] - width[cut], mean[cut] + width[cut], **band)
+            axis.plot(x, truth[cut], "-", lw=1.4, color=style.TRUTH, label=truth_label)
+            axis.plot(x, mean[cut], "--", lw=1.4, color=style.PREDICTED, label="mean of PCNDE")
+    style.letter_panels(axes[:, 0])
+    style.add_legend(figure, axes[0, 0])
     return figure

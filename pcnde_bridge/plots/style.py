@@ -1,13 +1,14 @@
-"""What all figures share: colours, units, names of cases.
+"""Colors, units, labels and layout that all figures share.
 
-Colours are Okabe and Ito's, which colour-blind readers tell apart; each method has a
-line style of its own too, for print without colours.  Figures use mL/s, mm² and mmHg,
-whatever the arrays are in.
+The colors are Okabe and Ito's, which color-blind readers can tell apart; each method also
+has a line style of its own, for print without colors.  Figures use mL/s, mm² and mmHg,
+whatever the units of the arrays.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,129 +22,178 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRUTH, PREDICTED, OTHER, EMPIRICAL = "#D55E00", "#0072B2", "#009E73", "#000000"
-"""Truth, PCNDE, another method, an empirical formula."""
+"""Colors of the truth, PCNDE, another method, and an empirical formula."""
 
-CURVES: dict[str, dict[str, Any]] = {
+LINE_STYLES: dict[str, dict[str, Any]] = {
     "truth": {"ls": "-", "lw": 2.6, "alpha": 0.55, "color": TRUTH},
     "model": {"ls": "--", "lw": 1.1, "color": PREDICTED},
     "other": {"ls": ":", "lw": 1.4, "color": OTHER},
     "empirical": {"ls": ":", "lw": 1.4, "color": EMPIRICAL},
 }
-"""How a method's lines look where there are many of them."""
+"""Line style of each method in panels with many curves."""
 
-VALUES, ERRORS = "viridis", "Blues"
-"""Colour maps of values and of errors; their lightness changes evenly."""
+VALUE_COLORS, ERROR_COLORS = "viridis", "Blues"
+"""Color maps of values and of errors; their lightness changes evenly."""
 
 MMHG = 1333.22
-"""dyn/cm² in a mmHg."""
+"""1 mmHg in dyn/cm²."""
+
+TIME_LABEL, SPACE_LABEL = "time t (s)", "position z (cm)"
+"""Axis labels."""
+
+
+class Quantity(NamedTuple):
+    """Name and figure unit of a variable, with the factor from CGS units."""
+
+    name: str
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """Name and unit, for an axis."""
+        return f"{self.name} ({self.unit})"
+
+    def convert(self, values: Array) -> Array:
+        """Convert values from CGS units to the figure unit."""
+        return values * self.factor
+
 
 QUANTITIES = {
-    "flow": ("flow Q", "mL/s", 1.0),
-    "area": ("area S", "mm²", 100.0),
-    "pressure": ("pressure p", "mmHg", 1 / MMHG),
+    "flow": Quantity("flow Q", "mL/s", 1.0),
+    "area": Quantity("area S", "mm²", 100.0),
+    "pressure": Quantity("pressure p", "mmHg", 1 / MMHG),
 }
-"""Name, unit, and factor from CGS units, of each variable."""
-
-TIME, SPACE = "time t (s)", "position z (cm)"
-"""Labels of the axes."""
-
-
-def label(variable: str) -> str:
-    """Name and unit of a variable, for an axis."""
-    name, unit, _ = QUANTITIES[variable]
-    return f"{name} ({unit})"
-
-
-def shown(variable: str, values: Array) -> Array:
-    """Values of a variable in the figures' unit."""
-    return values * QUANTITIES[variable][2]
+"""Quantity of each variable."""
 
 
 def new_figure(
     width: float, height: float, rows: int = 1, columns: int = 1, **options: Any
 ) -> tuple[Figure, npt.NDArray[Any]]:
-    """Figure (inches) that leaves room for all labels, and its axes, (rows, columns)."""
+    """Create a figure with space for all labels.
+
+    Parameters
+    ----------
+    width, height : float
+        Size in inches.
+    rows, columns : int
+        Number of panels.
+    **options
+        Further arguments of :meth:`matplotlib.figure.Figure.subplots`.
+
+    Returns
+    -------
+    Figure, array of Axes of shape (rows, columns)
+        The figure and its panels.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def bundle(axis: Axes, x: Array, rows: Array, look: str, name: str) -> None:
-    """Draw the rows (line, x) of a method, with one entry in the legend."""
-    lines = axis.plot(x, rows.T, **CURVES[look])
-    lines[0].set_label(name)
+def time_and_space_figure(
+    width: float,
+    height: float,
+    variables: Sequence[str],
+    cases: Cases,
+    z_index: int,
+    time_index: int,
+) -> tuple[Figure, npt.NDArray[Any]]:
+    """Create a figure with a row per variable, over time (left) and space (right).
+
+    Parameters
+    ----------
+    width, height : float
+        Size in inches.
+    variables : sequence of str
+        Variables of the rows.
+    cases : Cases
+        Cases that are drawn; they give the titles of the columns.
+    z_index, time_index : int
+        Grid point of the left column, and time point of the right one.
+    """
+    figure, axes = new_figure(width, height, len(variables), 2)
+    axes[0, 0].set_title(f"z = {cases.z[z_index]:.2f} cm", fontsize=10)
+    axes[0, 1].set_title(f"t = {cases.time[time_index]:.2f} s", fontsize=10)
+    axes[-1, 0].set_xlabel(TIME_LABEL)
+    axes[-1, 1].set_xlabel(SPACE_LABEL)
+    for axis, name in zip(axes[:, 0], variables, strict=True):
+        axis.set_ylabel(QUANTITIES[name].label)
+    for axis in axes.flat:
+        format_axis(axis)
+    return figure, axes
 
 
-def legend_above(figure: Figure, axis: Axes) -> None:
-    """Legend of one panel above the whole figure."""
-    handles, names = axis.get_legend_handles_labels()
+def plot_curves(axis: Axes, x: Array, curves: Array, method: str, label: str) -> None:
+    """Plot the curves (curve, x) of a method, with one entry in the legend."""
+    lines = axis.plot(x, curves.T, **LINE_STYLES[method])
+    lines[0].set_label(label)
+
+
+def add_legend(
+    figure: Figure,
+    axis: Axes,
+    loc: Literal["outside upper center", "outside lower center"] = "outside upper center",
+) -> None:
+    """Add the legend of one panel outside all panels of a figure."""
+    handles, labels = axis.get_legend_handles_labels()
     figure.legend(
-        handles,
-        names,
-        loc="outside upper center",
-        ncols=len(names),
-        frameon=False,
-        fontsize=9,
-        handlelength=3,
+        handles, labels, loc=loc, ncols=len(labels), frameon=False, fontsize=9, handlelength=3
     )
 
 
-def headings(axes: npt.NDArray[Any], cases: Cases, z_index: int, t_index: int) -> None:
-    """Place and instant above two columns of panels, quantities of their axes below."""
-    axes[0, 0].set_title(f"z = {cases.z[z_index]:.2f} cm", fontsize=10)
-    axes[0, 1].set_title(f"t = {cases.time[t_index]:.2f} s", fontsize=10)
-    axes[-1, 0].set_xlabel(TIME)
-    axes[-1, 1].set_xlabel(SPACE)
-
-
-def letters(axes: npt.NDArray[Any]) -> None:
-    """Mark panels a, b, c, … at their upper left, outside."""
-    for number, axis in enumerate(axes):
+def letter_panels(axes: npt.NDArray[Any]) -> None:
+    """Mark panels a, b, c, … outside their upper left corner."""
+    for letter, axis in zip("abcdefgh", axes, strict=False):
         title = axis.get_title("left")
-        mark = chr(ord("a") + number)
-        axis.set_title(f"{mark})  {title}" if title else f"{mark})", loc="left", fontsize=10)
+        axis.set_title(f"{letter})  {title}".rstrip(), loc="left", fontsize=10)
 
 
-def plain(axis: Axes) -> None:
-    """Grid and tick labels alike in all figures."""
+def format_axis(axis: Axes) -> None:
+    """Apply the grid and tick labels that all figures share."""
     axis.grid(alpha=0.3)
     axis.tick_params(which="both", labelsize=8)
 
 
-def nearest(values: Array, wanted: float) -> int:
-    """Index of the value nearest to the wanted one."""
-    return int(np.abs(values - wanted).argmin())
-
-
-def place(cases: Cases, part: float) -> int:
-    """Index of the point at a part of the vessel's length, 0 to 1.
+def z_index_at(cases: Cases, position: float) -> int:
+    """Return the grid point at a fraction of the vessel length.
 
     Raises
     ------
     InputError
-        If the part is not in the vessel.
+        If the fraction is not in [0, 1].
     """
-    if not 0 <= part <= 1:
-        raise InputError(f"position must be a part of the length, from 0 to 1, got {part!r}.")
-    return nearest(cases.z, cases.z[0] + part * (cases.z[-1] - cases.z[0]))
+    if not 0 <= position <= 1:
+        raise InputError(
+            f"position must be a fraction of the vessel length, from 0 to 1, got {position!r}."
+        )
+    return int(np.abs(cases.z - cases.z[0] - position * (cases.z[-1] - cases.z[0])).argmin())
 
 
-def moment(cases: Cases, part: float) -> int:
-    """Index of the instant at a part of the cycle, 0 to 1.
+def time_index_at(cases: Cases, time_point: float) -> int:
+    """Return the time point at a fraction of the cycle.
 
     Raises
     ------
     InputError
-        If the part is not in the cycle.
+        If the fraction is not in [0, 1].
     """
-    if not 0 <= part <= 1:
-        raise InputError(f"instant must be a part of the cycle, from 0 to 1, got {part!r}.")
-    return nearest(cases.time, cases.time[0] + part * cases.period)
+    if not 0 <= time_point <= 1:
+        raise InputError(
+            f"time_point must be a fraction of the cycle, from 0 to 1, got {time_point!r}."
+        )
+    return int(np.abs(cases.time - cases.time[0] - time_point * cases.period).argmin())
+
+
+def check_case(name: str, case: int, cases: Cases) -> None:
+    """Raise InputError if there is no case with this position."""
+    if not -len(cases) <= case < len(cases):
+        raise InputError(f"{name} is {case}, but there are {len(cases)} cases.")
 
 
 def case_name(cases: Cases, case: int) -> str:
-    """Name a case: its blockage, if known, and its labels."""
+    """Describe a case by its blockage, if known, and its labels."""
     geometry, waveform, blockage = (
         cases.labels[name].iloc[case] for name in ("geometry", "waveform", "blockage")
     )

@@ -1,4 +1,4 @@
-"""Figures of training: losses, and activation functions."""
+"""Figures of training: loss history and activation functions."""
 
 from __future__ import annotations
 
@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.plots.style import (
-    OTHER,
-    PREDICTED,
-    TRUTH,
-    new_figure,
-    plain,
-)
+from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -21,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_STAGE_UNITS = {
+_STAGES = {
     "flow": ("flow", "mL²/s²"),
     "intermediate_area": ("intermediate area", "cm⁴"),
     "fourier_area": ("Fourier area", "cm⁴"),
@@ -31,9 +25,10 @@ _STAGE_UNITS = {
     "wall": ("wall", "relative"),
     "correction": ("correction", "scaled"),
 }
+"""Title and loss unit of each stage."""
 
-
-_LONG = 20  # iterations of a fit that is drawn by itself
+_LONG_FIT = 20
+"""Iterations from which each fit has a line of its own."""
 
 
 def loss_history(history: pd.DataFrame) -> Figure:
@@ -49,7 +44,7 @@ def loss_history(history: pd.DataFrame) -> Figure:
     matplotlib.figure.Figure
         A panel for each stage that was fitted.  Stages that are fitted batch by
         batch in few iterations show every iteration as a pale dot, and the mean over
-        the batches of each epoch as a line; long fits, such as the starts of preset
+        the batches of each epoch as a line; long fits, such as those of preset
         ``fast``, have a line each.
 
     Raises
@@ -59,32 +54,17 @@ def loss_history(history: pd.DataFrame) -> Figure:
     """
     from matplotlib.ticker import MaxNLocator
 
-    stages = [stage for stage in _STAGE_UNITS if (history["stage"] == stage).any()]
+    stages = [stage for stage in _STAGES if (history["stage"] == stage).any()]
     if not stages:
-        raise InputError("There is no history to plot: the model was not fitted here.")
+        raise InputError("There is no history to plot: this model has no record of a fit.")
     rows = -(-len(stages) // 3)
-    figure, panels = new_figure(9.5, 2.6 * rows, rows, 3)
-    axes = panels.ravel()
-    for spare in axes[len(stages) :]:
+    figure, axes = style.new_figure(9.5, 2.6 * rows, rows, 3)
+    for spare in axes.flat[len(stages) :]:
         spare.set_axis_off()
-    for axis, stage in zip(axes, stages, strict=False):
+    for axis, stage in zip(axes.flat, stages, strict=False):
         fits = history[history["stage"] == stage]
-        name, unit = _STAGE_UNITS[stage]
-        number = np.arange(1, len(fits) + 1)
-        loss = fits["loss"].to_numpy()
-        fits = fits.assign(number=number)
-        batches = fits.groupby(["epoch", "batch"], sort=False)
-        if fits["batch"].nunique() == 1:
-            _line(axis, number, loss, PREDICTED)
-        elif len(fits) >= _LONG * batches.ngroups:
-            for _, fit in batches:
-                _line(axis, fit["number"], fit["loss"], PREDICTED)
-        else:
-            axis.plot(number, loss, ".", ms=4, alpha=0.4, mec="none", color=PREDICTED)
-            # Each batch's last loss in each epoch, in the mean.
-            ends = batches.last()
-            means = ends.groupby("epoch")[["number", "loss"]].agg({"number": "max", "loss": "mean"})
-            _line(axis, means["number"], means["loss"], TRUTH)
+        _plot_losses(axis, fits.assign(number=np.arange(1, len(fits) + 1)))
+        loss = fits["loss"]
         if len(fits) == 1:
             axis.set_xlim(0, 2)
         if (loss > 0).all() and loss.max() > 10 * loss.min():
@@ -92,62 +72,74 @@ def loss_history(history: pd.DataFrame) -> Figure:
         else:
             axis.ticklabel_format(axis="y", useOffset=False, scilimits=(-2, 3))
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axis.set_title(name, fontsize=10)
-        axis.set_xlabel("iteration")
-        axis.set_ylabel(f"loss ({unit})")
-        plain(axis)
+        title, unit = _STAGES[stage]
+        axis.set_title(title, fontsize=10)
+        axis.set(xlabel="iteration", ylabel=f"loss ({unit})")
+        style.format_axis(axis)
     return figure
 
 
-def _line(axis: Axes, number: npt.ArrayLike, loss: npt.ArrayLike, colour: str) -> None:
-    """Draw losses as a line, or a single one, which no line shows, as a point."""
-    axis.plot(number, loss, "o" if np.size(loss) == 1 else "-", lw=1.6, ms=4, color=colour)
+def _plot_losses(axis: Axes, fits: pd.DataFrame) -> None:
+    """Plot the losses of one stage: a line per fit, or the mean over the batches."""
+    batches = fits.groupby(["epoch", "batch"], sort=False)
+    if fits["batch"].nunique() == 1:
+        _plot_line(axis, fits["number"], fits["loss"], style.PREDICTED)
+    elif len(fits) >= _LONG_FIT * batches.ngroups:
+        for _, fit in batches:
+            _plot_line(axis, fit["number"], fit["loss"], style.PREDICTED)
+    else:
+        color = style.PREDICTED
+        axis.plot(fits["number"], fits["loss"], ".", ms=4, alpha=0.4, mec="none", color=color)
+        # Mean over the batches of the last loss in each epoch.
+        ends = batches.last().groupby("epoch")
+        means = ends[["number", "loss"]].agg({"number": "max", "loss": "mean"})
+        _plot_line(axis, means["number"], means["loss"], style.TRUTH)
+
+
+def _plot_line(axis: Axes, number: npt.ArrayLike, loss: npt.ArrayLike, color: str) -> None:
+    """Plot losses as a line; a single one as a point, because a line would not show it."""
+    axis.plot(number, loss, "o" if np.size(loss) == 1 else "-", lw=1.6, ms=4, color=color)
 
 
 def activations(study: pd.DataFrame) -> Figure:
-    """Plot the errors of the pressure with each activation function.
+    """Plot the pressure errors with each activation function (section 3.2).
 
     Parameters
     ----------
     study : DataFrame
-        Of :func:`pcnde_bridge.studies.activation_study`.
+        Result of :func:`pcnde_bridge.studies.activation_study`.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Relative errors (left) and the unexplained part of the variance over time
+        Relative errors (left) and the unexplained fraction of the variance over time
         (right), both on logarithmic axes; a mark for each seed.
 
     Raises
     ------
     InputError
-        If there is nothing to plot.
+        If the study is empty.
     """
     if study.empty:
         raise InputError("There is no activation function to plot.")
-    names = list(study.index.get_level_values("activation").unique())
-    sets = [name for name in ("train", "test") if name in study]
-    figure, panels = new_figure(7.2, 3.0, 1, 2)
-    for axis, suffix, text in zip(
-        panels[0],
-        ("", "_explained"),
-        ("relative error of the pressure", "variance over time not explained"),
-        strict=True,
+    names = study.index.get_level_values("activation")
+    known = list(names.unique())
+    place = np.array([known.index(name) for name in names])
+    figure, axes = style.new_figure(7.2, 3.0, 1, 2)
+    errors, unexplained = axes[0]
+    for subset, label, shift, color, marker in (
+        ("train", "training", -0.12, style.OTHER, "o"),
+        ("test", "test", 0.12, style.PREDICTED, "s"),
     ):
-        for number, (name, colour, mark) in enumerate(
-            zip(sets, (OTHER, PREDICTED), "os", strict=False)
-        ):
-            rows = study[name + suffix]
-            where = [names.index(key) for key in study.index.get_level_values("activation")]
-            values = (1 - rows if suffix else rows).to_numpy()
-            shift = 0.12 * (2 * number - 1)
-            label = {"train": "training", "test": "test"}[name]
-            axis.plot(np.array(where) + shift, values, mark, ms=5, color=colour, label=label)
-        axis.set_yscale("log")
-        axis.set_xticks(range(len(names)), names)
-        axis.set_xlim(-0.6, len(names) - 0.4)
-        axis.set_ylabel(text)
-        axis.set_xlabel("activation function")
-        plain(axis)
-    panels[0, 0].legend(frameon=False, fontsize=8)
+        if subset in study:
+            look = {"ms": 5, "color": color, "label": label}
+            errors.plot(place + shift, study[subset], marker, **look)
+            unexplained.plot(place + shift, 1 - study[f"{subset}_explained"], marker, **look)
+    errors.set_ylabel("relative error of the pressure")
+    unexplained.set_ylabel("variance over time not explained")
+    for axis in axes[0]:
+        axis.set(yscale="log", xlabel="activation function", xlim=(-0.6, len(known) - 0.4))
+        axis.set_xticks(range(len(known)), known)
+        style.format_axis(axis)
+    errors.legend(frameon=False, fontsize=8)
     return figure

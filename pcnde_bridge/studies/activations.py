@@ -1,13 +1,13 @@
 """Activation functions of the pressure network (section 3.2 of the paper).
 
-Flow and area do not know the pressure network, so only the two pressure stages are
-fitted again, to the same numbers as in a whole fit with that activation.
+Flow and area do not depend on the pressure network, so only the two pressure stages are
+fitted again; the results equal those of a whole fit with that activation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -23,14 +23,11 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.training.trainer import (
-    Trainer,
-    TrainingState,
-    plan,
-)
+from pcnde_bridge.studies._shared import staged_parts
+from pcnde_bridge.training.trainer import Trainer, TrainingState, plan
 
 ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
-"""The paper's, in its order."""
+"""Activation functions of the paper, in its order."""
 
 
 def activation_study(
@@ -48,18 +45,19 @@ def activation_study(
     Parameters
     ----------
     model : PCNDE
-        A model with networks (any preset but ``physics``), which gives flow and area.
+        Model with networks (any preset but ``physics``), which gives flow and area.
     train : Cases
-        Its training cases.
+        Training cases of the model.
     test : Cases, optional
         Other cases to predict.
-    activations : sequence of str
-        Of 'tanh', 'gelu', 'relu', 'sigmoid' and 'swish'.
+    activations : sequence of {'tanh', 'gelu', 'relu', 'sigmoid', 'swish'}
+        Activation functions.
     seeds : sequence of int
-        Of the pressure network's first weights; all activations are fitted with each.
-    executor : Executor, or callable that makes one, optional
-        Who runs the fits; None runs them here.  The same bits come of
-        as many threads of XLA, see :mod:`pcnde_bridge._utils.parallel`.
+        Random seeds for the initial weights of the pressure network; each activation
+        function is fitted with each seed.
+    executor : Executor, or callable that creates one, optional
+        Executor of the fits; by default they run in this process.  Results are equal bit
+        for bit if XLA has as many threads, see :mod:`pcnde_bridge._utils.parallel`.
     progress : bool
         Show progress on standard error.
 
@@ -67,43 +65,37 @@ def activation_study(
     -------
     DataFrame
         Indexed by ``activation`` and ``seed``.  ``train`` and ``test`` are the relative
-        errors of the pressure; ``train_explained`` and ``test_explained`` the part of
-        its variance over time that is predicted: about 0 if only the mean over time is
-        learnt, 1 at best.
+        errors of the pressure; ``train_explained`` and ``test_explained`` are the
+        fraction of its variance over time that is predicted: about 0 if the network
+        learns the mean over time only, 1 at best.
 
     Raises
     ------
     InputError
         If the model has no pressure network, cases are not on its grid, or an argument is
-        not usable.
+        invalid.
     """
-    config = model.config
-    if not isinstance(config, PCNDEConfig) or not isinstance(model.parameters, Parameters):
+    config, parameters = staged_parts(model, "pressure network whose activation could be changed")
+    known = get_args(Activation)
+    if not activations or len(set(activations)) < len(activations) or set(activations) - {*known}:
         raise InputError(
-            "A model of the preset physics has no pressure network whose activation could be "
-            "changed. Give a model of the preset paper or fast."
-        )
-    unknown = [name for name in activations if name not in get_args(Activation)]
-    if unknown or not activations or len(set(activations)) < len(activations):
-        raise InputError(
-            f"Give at least one activation of {list(get_args(Activation))}, and none twice; got "
+            f"Give at least one activation of {list(known)}, and none twice; got "
             f"{list(activations)}."
         )
     seeds = whole_seeds(seeds)
-    for cases in (train, test):
-        if cases is not None:
-            model.check_grid(cases)
+    subsets = {"train": train} if test is None else {"train": train, "test": test}
+    for cases in subsets.values():
+        model.check_grid(cases)
     pairs = [(activation, seed) for activation in activations for seed in seeds]
     tasks = {
-        f"{name}, seed {seed}": (
+        f"{activation}, seed {seed}": (
             model.engine,
-            config.replace(temporal_pressure={"activation": name}),
-            model.parameters,
+            config.replace(temporal_pressure={"activation": activation}),
+            parameters,
             seed,
-            train,
-            test,
+            subsets,
         )
-        for name, seed in pairs
+        for activation, seed in pairs
     }
     rows = each(_fit_and_measure, tasks, executor, progress)
     index = pd.MultiIndex.from_tuples(pairs, names=["activation", "seed"])
@@ -113,14 +105,13 @@ def activation_study(
 def fit_pressure(
     engine: Engine, config: PCNDEConfig, parameters: Parameters, seed: int, train: Cases
 ) -> Parameters:
-    """Fit the two pressure stages anew, with flow and area as they are.
+    """Fit the two pressure stages again, for given flow and area.
 
-    The same numbers as of a whole fit with this seed, if its flow and area are these.
+    The result equals that of a whole fit with this seed and the same flow and area.
     """
     first = TrainingState.start(train, config, seed)
     fresh = {stage: getattr(first.parameters, stage) for stage in PRESSURE_STAGES}
-    units = plan(config, len(first.batches))
-    before = sum(unit.work not in PRESSURE_STAGES for unit in units)
+    before = sum(unit.work not in PRESSURE_STAGES for unit in plan(config, len(first.batches)))
     state = TrainingState(seed, first.batches, parameters.replace(**fresh), finished=before)
     with threadpool_limits(1, user_api="blas"):  # as in a whole fit
         return Trainer(train, config, engine).run(state).parameters
@@ -131,36 +122,34 @@ def _fit_and_measure(
     config: PCNDEConfig,
     parameters: Parameters,
     seed: int,
-    train: Cases,
-    test: Cases | None,
-) -> dict[str, Any]:
-    """Errors of the pressure with one activation."""
-    fitted = fit_pressure(engine, config, parameters, seed, train)
+    subsets: dict[str, Cases],
+) -> dict[str, float]:
+    """Return the pressure errors of one activation function and seed."""
+    fitted = fit_pressure(engine, config, parameters, seed, subsets["train"])
     row = {}
-    for name, cases in (("train", train), ("test", test)):
-        if cases is None:
-            continue
-        grid = cases.grid
-        solved = engine.predict(fitted, cases.inflow, cases.area_undeformed, grid, config)
-        assert solved.pressure is not None
-        row[name] = relative_error(solved.pressure, cases.pressure)
-        row[f"{name}_explained"] = explained_variation(solved.pressure, cases.pressure)
+    for name, cases in subsets.items():
+        inputs = (cases.inflow, cases.area_undeformed, cases.grid)
+        pressure = engine.predict(fitted, *inputs, config).pressure
+        assert pressure is not None
+        row[name] = relative_error(pressure, cases.pressure)
+        row[f"{name}_explained"] = explained_variance(pressure, cases.pressure)
     return row
 
 
-def explained_variation(predicted: Array, truth: Array) -> float:
-    """Part of the variance over time, at each point of each case, that is predicted.
+def explained_variance(predicted: Array, truth: Array) -> float:
+    """Return the fraction of the variance over time that is predicted.
 
     Parameters
     ----------
     predicted, truth : array of shape (case, time, z)
-        Of the same variable.
+        Values of the same variable.
 
     Returns
     -------
     float
-        1 − Σ(Y′ − Y′_GT)²/Σ Y′_GT², with Y′ the difference from the mean over time.
+        1 − Σ(Y′ − Y′_GT)²/Σ Y′_GT², where Y′ is the difference from the mean over time at
+        each grid point of each case.
     """
-    varies = truth - truth.mean(axis=1, keepdims=True)
-    wrong = predicted - predicted.mean(axis=1, keepdims=True) - varies
-    return float(1 - np.sum(wrong**2) / np.sum(varies**2))
+    variation = truth - truth.mean(axis=1, keepdims=True)
+    error = predicted - predicted.mean(axis=1, keepdims=True) - variation
+    return float(1 - np.sum(error**2) / np.sum(variation**2))

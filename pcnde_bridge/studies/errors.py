@@ -1,4 +1,4 @@
-"""Errors in detail: case by case, point by point, and their spread (section 3.3)."""
+"""Detailed errors: per case, per grid point, and their distribution (section 3.3)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,15 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.model.metrics import (
-    POOLED,
-    compared,
-    error_table,
-)
+from pcnde_bridge.model.metrics import POOLED, compared, error_table
+from pcnde_bridge.studies._shared import check_shape, check_single
 
-_WHISKER = 1.5  # quartile distances
+_WHISKER = 1.5  # interquartile ranges
 _STATISTICS = ("median", "lower", "upper", "low", "high", "largest", "outliers")
 
 
 def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.DataFrame]:
-    """Relative error of every case, geometries down and waveforms across.
+    """Return the relative error of every case, geometries down and waveforms across.
 
     Parameters
     ----------
@@ -34,8 +31,8 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     Returns
     -------
     dict of str to DataFrame
-        For each variable, indexed by ``geometry``, a column for each ``waveform``, both
-        in increasing order; NaN where there is no such case.
+        For each variable, indexed by ``geometry``, with a column for each ``waveform``,
+        both in increasing order; NaN where there is no such case.
     """
     table = error_table(predicted, cases).drop(index=(POOLED, POOLED))
     return {
@@ -46,7 +43,7 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
 
 @dataclass(frozen=True, eq=False)
 class PointwiseErrors:
-    """One case: truth, prediction and their distance at every instant and point.
+    """Truth, prediction and absolute error of one case at every time and grid point.
 
     Attributes
     ----------
@@ -55,8 +52,8 @@ class PointwiseErrors:
     predicted : mapping of str to array of shape (time, z)
         Flow (mL/s), area (cm²) and pressure (dyn/cm²).
     distance : mapping of str to array of shape (time, z)
-        Of flow |Q − Q_GT| (mL/s); of area |S − S_GT|/S_GT(t=0); of pressure
-        |p − p_GT| (dyn/cm²).
+        |Q − Q_GT| (mL/s) for flow, |S − S_GT|/S_GT(t=0) for area, and |p − p_GT|
+        (dyn/cm²) for pressure.
     """
 
     case: Cases = field(repr=False)
@@ -64,22 +61,22 @@ class PointwiseErrors:
     distance: Mapping[str, Array] = field(repr=False)
 
     def to_frame(self) -> pd.DataFrame:
-        """Scalar measures, a row for each variable.
+        """Return scalar measures, a row for each variable.
 
         Returns
         -------
         DataFrame
-            ``mean`` and ``largest`` distance, and its means ``upstream`` and
-            ``downstream`` of the vessel's middle.
+            ``mean`` and ``largest`` error, and the means ``upstream`` and ``downstream``
+            of the middle of the vessel.
         """
-        middle = (self.case.z[0] + self.case.z[-1]) / 2
-        first, second = self.case.z < middle, self.case.z > middle
+        z = self.case.z
+        middle = (z[0] + z[-1]) / 2
         rows = {
             name: {
                 "mean": float(values.mean()),
                 "largest": float(values.max()),
-                "upstream": float(values[:, first].mean()),
-                "downstream": float(values[:, second].mean()),
+                "upstream": float(values[:, z < middle].mean()),
+                "downstream": float(values[:, z > middle].mean()),
             }
             for name, values in self.distance.items()
         }
@@ -87,7 +84,7 @@ class PointwiseErrors:
 
 
 def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseErrors:
-    """Absolute errors of one case; the area's are relative to its area at the first instant.
+    """Return the absolute errors of one case; the area's are relative to its initial area.
 
     Parameters
     ----------
@@ -99,15 +96,12 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     Raises
     ------
     InputError
-        If there is not exactly one case, or a shape is not that of the truth.
+        If there is not exactly one case, or a shape differs from that of the truth.
     """
-    if len(case) != 1 or any(len(values) != 1 for values in predicted.values()):
-        raise InputError(
-            f"Pointwise errors are of one case, got {len(case)}. Select it: "
-            "cases.select(geometry=…, waveform=…)."
-        )
+    check_single(case, "Pointwise errors are of")
     distance = {
-        name: np.abs(values - _truth(name, values, case))[0] for name, values in predicted.items()
+        name: np.abs(values - check_shape(name, values, case))[0]
+        for name, values in predicted.items()
     }
     if "area" in distance:
         distance["area"] = distance["area"] / case.area[0, :1]
@@ -115,9 +109,9 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
 
 
 def relative_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, Array]:
-    """|Y − Y_GT|/|Y_GT| of every value, in one row for each variable.
+    """Return |Y − Y_GT|/|Y_GT| of every value, as one row for each variable.
 
-    The area leaves out the first and last five points.
+    The area is compared without the first and last five points.
 
     Parameters
     ----------
@@ -129,24 +123,26 @@ def relative_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, A
     Raises
     ------
     InputError
-        If a true value is zero, or a shape is not that of the truth.
+        If a true value is zero, or a shape differs from that of the truth.
     """
     errors = {}
     for name, values in predicted.items():
-        truth = compared(name, _truth(name, values, cases))
+        truth = compared(name, check_shape(name, values, cases))
         if not truth.all():
-            raise InputError(f"The truth's {name} is 0 somewhere: no relative error there.")
+            raise InputError(
+                f"The true {name} is 0 somewhere, so its relative error is undefined there."
+            )
         errors[name] = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
     return errors
 
 
 def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -> pd.DataFrame:
-    """Quartiles and outliers of the pointwise relative errors of several methods.
+    """Return quartiles and outliers of the pointwise relative errors of several methods.
 
     Parameters
     ----------
     predicted : mapping of str to mapping of str to array of shape (case, time, z)
-        By method, then by variable.
+        For each method, any of flow, area and pressure.
     cases : Cases
         The truth.
 
@@ -154,14 +150,15 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     -------
     DataFrame
         Indexed by ``variable`` and ``method``: ``median``, ``lower`` and ``upper``
-        quartile, ``low`` and ``high`` whisker (the outermost values within 1.5 quartile
-        distances of the box), ``largest`` value and ``outliers``, the share of values
-        beyond the whiskers.  NaN for a method that has NaN, as one that diverged.
+        quartile, ``low`` and ``high`` whisker (the outermost values within 1.5
+        interquartile ranges of the box), ``largest`` value and ``outliers``, the fraction
+        of values beyond the whiskers.  NaN for a method with NaN, such as one that
+        diverged.
 
     Raises
     ------
     InputError
-        As :func:`relative_errors`.
+        If a true value is zero, or a shape differs from that of the truth.
     """
     rows = {}
     for method, arrays in predicted.items():
@@ -178,11 +175,3 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     frame = pd.DataFrame.from_dict(rows, orient="index")
     frame.index = pd.MultiIndex.from_tuples(list(rows), names=["variable", "method"])
     return frame
-
-
-def _truth(name: str, values: Array, cases: Cases) -> Array:
-    """Return what a predicted variable should be, of the same shape."""
-    truth: Array = getattr(cases, name)
-    if values.shape != truth.shape:
-        raise InputError(f"The predicted {name} has the shape {values.shape}, not {truth.shape}.")
-    return truth

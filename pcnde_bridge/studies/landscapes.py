@@ -85,7 +85,7 @@ class Landscape:
         return ~np.isfinite(self.losses)
 
     @property
-    def centre(self) -> float:
+    def center(self) -> float:
         """Loss of the parameters themselves."""
         middle = len(self.amplitudes) // 2
         return float(self.losses[middle, middle])
@@ -175,7 +175,7 @@ class LandscapeStudy:
                 {
                     "right_hand_side": each.right_hand_side,
                     "moment": each.moment,
-                    "centre": each.centre,
+                    "center": each.center,
                     "lowest": finite.min() if finite.size else np.inf,
                     "median": float(np.median(each.losses)),
                     "highest": finite.max() if finite.size else np.inf,

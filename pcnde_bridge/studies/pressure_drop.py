@@ -1,4 +1,4 @@
-"""Pressure drop along the stenosis, beside the formula of Seeley and Young (section 3.2)."""
+"""Pressure drop along the stenosis, compared with Seeley and Young (section 3.2)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import Physics
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import InputError
-from pcnde_bridge.hemodynamics import pressure_losses as stenosis
+from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.model.metrics import POOLED, relative_error
+from pcnde_bridge.studies._shared import check_shape
 
 _PHYSICS = Physics()
 
@@ -36,37 +36,36 @@ class PressureDrops:
     empirical: Array = field(repr=False)
 
     def to_frame(self) -> pd.DataFrame:
-        """Relative errors of the drop, a row for each case and one for all pooled.
+        """Return relative errors of the drop, a row for each case and one for all pooled.
 
         Returns
         -------
         DataFrame
             Indexed by ``geometry`` and ``waveform``; columns ``model`` and
-            ``empirical``, and ``overestimated``: the share of instants at which the
+            ``empirical``, and ``overestimated``: the fraction of time points at which the
             formula gives more than the truth.
         """
-        labels = self.cases.labels[["geometry", "waveform"]]
-        keys = list(labels.itertuples(index=False, name=None))
-        which = [*(slice(i, i + 1) for i in range(len(keys))), slice(None)]
+        names = ["geometry", "waveform"]
+        keys = list(self.cases.labels[names].itertuples(index=False, name=None))
+        index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=names)
+        subsets = [*(slice(i, i + 1) for i in range(len(keys))), slice(None)]
         rows = [
             {
-                "model": relative_error(self.predicted[part], self.truth[part]),
-                "empirical": relative_error(self.empirical[part], self.truth[part]),
-                "overestimated": float(np.mean(self.empirical[part] > self.truth[part])),
+                "model": relative_error(self.predicted[subset], self.truth[subset]),
+                "empirical": relative_error(self.empirical[subset], self.truth[subset]),
+                "overestimated": float(np.mean(self.empirical[subset] > self.truth[subset])),
             }
-            for part in which
+            for subset in subsets
         ]
-        names = ["geometry", "waveform"]
-        index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=names)
         return pd.DataFrame(rows, index=index)
 
 
 def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -> PressureDrops:
-    """Compare the pressure drop of a prediction with the formula's.
+    """Compare the predicted pressure drop with the empirical formula.
 
-    The drop is taken from the point nearest to L/3 to the one nearest to 2L/3, between
-    which the paper's pressure model drops.  The formula gets the cases' own flow at the
-    throat, which is where S_u is smallest, and the undeformed areas.
+    The drop is taken between the grid points nearest to L/3 and 2L/3, between which the
+    paper's pressure model drops.  The formula uses the true flow at the throat, which is
+    the point with the smallest S_u, and the undeformed areas.
 
     Parameters
     ----------
@@ -75,24 +74,20 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
     cases : Cases
         The truth.
     physics : Physics
-        Of blood and stenosis: ``model.config.physics``.
+        Blood and stenosis: ``model.config.physics``.
 
     Raises
     ------
     InputError
-        If the pressure is not that of the cases.
+        If the pressure has another shape than the cases.
     """
-    if np.shape(pressure) != cases.pressure.shape:
-        raise InputError(
-            f"The pressure has the shape {np.shape(pressure)}, that of the cases is "
-            f"{cases.pressure.shape}."
-        )
+    check_shape("pressure", pressure, cases)
     start, length = cases.z[0], cases.z[-1] - cases.z[0]
     first, second = (
-        int(np.abs(cases.z - start - part * length).argmin()) for part in (1 / 3, 2 / 3)
+        int(np.abs(cases.z - start - fraction * length).argmin()) for fraction in (1 / 3, 2 / 3)
     )
     throat = cases.area_undeformed.argmin(axis=1)
-    empirical: Array = stenosis.pressure_drop(
+    empirical: Array = pressure_losses.pressure_drop(
         cases.flow[np.arange(len(cases)), :, throat],
         cases.area_undeformed[:, :1],
         cases.area_undeformed.min(axis=1)[:, None],

@@ -164,7 +164,7 @@ def test_study_draws_each_equation_twice(study, small_cases):
     first_batch = study.history.query(
         "right_hand_side == 'network' and stage == 'flow' and epoch == 1 and batch == 1"
     )
-    assert initial.centre == pytest.approx(first_batch["loss"].iloc[-1], rel=1e-9)
+    assert initial.center == pytest.approx(first_batch["loss"].iloc[-1], rel=1e-9)
     # Two of each equation; no second where the training did not come so far.
     drawn = [(each.right_hand_side, each.moment) for each in study.landscapes]
     assert len(set(drawn)) == len(drawn)
@@ -197,7 +197,7 @@ def test_divergence_is_recorded(engine, small_cases):
     )
     (landscape,) = study.landscapes
     assert landscape.diverged.all()
-    assert np.isinf(landscape.centre)
+    assert np.isinf(landscape.center)
     assert study.outcomes == {"friction": "diverged at the first parameters"}
     assert study.to_frame()["diverged"].all()
     assert study.landscape("friction", "coupled") is None
@@ -211,7 +211,7 @@ def test_minima_and_roughness():
     along = amplitudes(0.1, np.int64(11))
     x, y = np.meshgrid(along, along, indexing="ij")
     bowl = Landscape("a", "initial", along, np.exp(x**2 + 2 * y**2), 0.0)
-    assert (bowl.minima, bowl.centre) == (1, 1.0)
+    assert (bowl.minima, bowl.center) == (1, 1.0)
     assert bowl.roughness < 1e-12
     noise = np.random.default_rng(0).uniform(1, 2, (11, 11))
     noise[3, 3] = np.inf

@@ -28,7 +28,7 @@ from pcnde_bridge.studies import (
     pointwise_errors,
     pressure_drops,
 )
-from pcnde_bridge.studies.activations import explained_variation, fit_pressure
+from pcnde_bridge.studies.activations import explained_variance, fit_pressure
 from pcnde_bridge.studies.noise import noisy_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
@@ -53,16 +53,16 @@ def hardest(small_cases):
 
 
 @pytest.mark.parametrize("noisy", ["inflow", "area_undeformed"])
-@pytest.mark.parametrize("draws", [2, 7, 40])
-def test_noise_equals_a_direct_loop(toy_model, hardest, noisy, draws):
-    study = noise_study(toy_model, hardest, noisy, level=0.1, draws=draws, seed=5)
-    inflow, area = noisy_inputs(hardest, noisy, 0.1, draws, 5)
+@pytest.mark.parametrize("samples", [2, 7, 40])
+def test_noise_equals_a_direct_loop(toy_model, hardest, noisy, samples):
+    study = noise_study(toy_model, hardest, noisy, level=0.1, samples=samples, seed=5)
+    inflow, area = noisy_inputs(hardest, noisy, 0.1, samples, 5)
     each = [toy_model.predict(q, s).variables() for q, s in zip(inflow, area, strict=True)]
     for name in ("flow", "area", "pressure"):
         values = np.array([one[name][0] for one in each])
         np.testing.assert_allclose(study.mean[name], values.mean(axis=0), rtol=1e-12)
         deviation = values.std(axis=0, ddof=1)
-        np.testing.assert_allclose(study.deviation[name], deviation, rtol=1e-9, atol=1e-14)
+        np.testing.assert_allclose(study.standard_deviation[name], deviation, rtol=1e-9, atol=1e-14)
         spread = deviation.mean() / np.abs(values.mean(axis=0)).max()
         assert study.spread()[name] == pytest.approx(spread, rel=1e-9)
         clean = toy_model.predict(hardest).variables()[name][0]
@@ -90,17 +90,17 @@ def test_noisy_areas_stay_positive(hardest):
 
 
 def test_no_noise_no_deviation(toy_model, hardest):
-    study = noise_study(toy_model, hardest, level=0.0, draws=3)
+    study = noise_study(toy_model, hardest, level=0.0, samples=3)
     assert max(study.spread().values()) < 1e-14
 
 
 def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest):
-    here = noise_study(toy_model, hardest, draws=70)
+    here = noise_study(toy_model, hardest, samples=70)
     with ThreadPoolExecutor(2) as executor:
-        there = noise_study(toy_model, hardest, draws=70, executor=executor)
+        there = noise_study(toy_model, hardest, samples=70, executor=executor)
     for name in here.mean:
         np.testing.assert_array_equal(here.mean[name], there.mean[name])
-        np.testing.assert_array_equal(here.deviation[name], there.deviation[name])
+        np.testing.assert_array_equal(here.standard_deviation[name], there.standard_deviation[name])
 
 
 def test_what_goes_to_a_process_can_go(small_model, hardest):
@@ -115,10 +115,10 @@ def test_what_goes_to_a_process_can_go(small_model, hardest):
             future.set_result(again(*rest))
             return future
 
-    there = noise_study(small_model, hardest, draws=11, executor=Process())
-    here = noise_study(small_model, hardest, draws=11)
-    assert len(sent) == 1  # eleven draws are one task
-    np.testing.assert_array_equal(here.deviation["flow"], there.deviation["flow"])
+    there = noise_study(small_model, hardest, samples=11, executor=Process())
+    here = noise_study(small_model, hardest, samples=11)
+    assert len(sent) == 1  # eleven samples are one task
+    np.testing.assert_array_equal(here.standard_deviation["flow"], there.standard_deviation["flow"])
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,8 @@ def test_what_goes_to_a_process_can_go(small_model, hardest):
         ({"noisy": "pressure"}, "noisy must be one of"),
         ({"level": -0.1}, "level must be"),
         ({"level": np.nan}, "level must be"),
-        ({"draws": 1}, "draws must be"),
-        ({"draws": True}, "draws must be"),
+        ({"samples": 1}, "samples must be"),
+        ({"samples": True}, "samples must be"),
         ({"seed": -1}, "seed must be"),
     ],
 )
@@ -191,14 +191,14 @@ def test_only_the_pressure_is_fitted_again(toy_model, small_cases, toy_engine):
         assert not np.array_equal(getattr(again, stage), getattr(toy_model.parameters, stage))
 
 
-def test_explained_variation_by_hand():
+def test_explained_variance_by_hand():
     truth = np.array([[[1.0], [3.0]], [[0.0], [4.0]]])
-    assert explained_variation(truth, truth) == 1
+    assert explained_variance(truth, truth) == 1
     # Only the mean over time, or that and an offset: nothing is explained.
-    assert explained_variation(truth.mean(axis=1, keepdims=True) + 0 * truth, truth) == 0
-    assert explained_variation(truth + 7, truth) == 1
+    assert explained_variance(truth.mean(axis=1, keepdims=True) + 0 * truth, truth) == 0
+    assert explained_variance(truth + 7, truth) == 1
     # Half of the swing leaves a quarter of its square.
-    assert explained_variation(truth / 2, truth) == pytest.approx(0.75)
+    assert explained_variance(truth / 2, truth) == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize(
@@ -401,6 +401,6 @@ def test_noise_of_a_model_without_pressure(toy_model, hardest):
         toy_model.engine,
     )
     assert isinstance(model.predict(hardest), Prediction)
-    study = noise_study(model, hardest, draws=4)
+    study = noise_study(model, hardest, samples=4)
     assert list(study.mean) == ["flow", "area"]
     assert isinstance(study.to_frame(), pd.DataFrame)

@@ -22,16 +22,16 @@ from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.plots import paper_figures as module
 from pcnde_bridge.plots.paper_figures import (
     FIGURES,
-    Entry,
-    Material,
+    FigureData,
+    PaperFigure,
     choose,
+    hardest_case,
     make_figures,
-    outermost,
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
 
-ALWAYS = [entry.name for entry in FIGURES if not entry.cost]
+ALWAYS = [figure.name for figure in FIGURES if not figure.cost]
 
 
 @pytest.fixture
@@ -66,30 +66,30 @@ class Shifted:
 
 
 @pytest.fixture
-def material(toy_model, small_cases) -> Material:
-    return Material(toy_model, small_cases, *small_cases.split("paper"), other=Shifted())
+def data(toy_model, small_cases) -> FigureData:
+    return FigureData(toy_model, small_cases, *small_cases.split("paper"), other=Shifted())
 
 
 FLOW_ANEW = ("smoothness", "loss-landscapes")
 """Figures that fit the flow anew with equations that the toy engine does not have."""
 
 
-def test_every_figure_is_made(material, tmp_path, unpainted):
+def test_every_figure_is_made(data, tmp_path, unpainted):
     seen = []
-    entries = [entry for entry in FIGURES if entry.name not in FLOW_ANEW]
+    entries = [figure for figure in FIGURES if figure.name not in FLOW_ANEW]
     made = make_figures(
-        material,
+        data,
         tmp_path / "out",
         only=[entry.name for entry in entries],
-        on_entry=lambda number, count, entry: seen.append((number, count, entry.name)),
+        on_figure=lambda number, count, entry: seen.append((number, count, entry.name)),
     )
     assert seen == [(i, len(entries), entry.name) for i, entry in enumerate(entries, 1)]
     assert [result.reason for result in made] == [""] * len(entries)
     assert len(list((tmp_path / "out").iterdir())) == len(entries)
-    tables = {result.entry.name: result.numbers for result in made}
+    tables = {result.figure.name: result.numbers for result in made}
 
-    test = material.test
-    expected = pooled_errors(material.model.predict(test).variables(), test)
+    test = data.test
+    expected = pooled_errors(data.model.predict(test).variables(), test)
     for variable, error in expected.items():
         assert tables["results"].loc[("PCNDE", "test"), variable] == pytest.approx(error)
     assert tables["results"].loc[("1D solver", "test"), "flow"] == pytest.approx(0.1)
@@ -99,9 +99,9 @@ def test_every_figure_is_made(material, tmp_path, unpainted):
     assert len(tables["activations"]) == 5
 
 
-def test_files_are_whole_and_repeatable(material, tmp_path):
+def test_files_are_whole_and_repeatable(data, tmp_path):
     for folder in ("one", "two"):
-        (made,) = make_figures(material, tmp_path / folder, only=["box-plots"])
+        (made,) = make_figures(data, tmp_path / folder, only=["box-plots"])
         assert [path.name for path in made.files] == [
             "box-plots.png",
             "box-plots.pdf",
@@ -116,51 +116,51 @@ def test_files_are_whole_and_repeatable(material, tmp_path):
     assert {p.name for p in (tmp_path / "one").iterdir()} == {f.name for f in made.files}
 
 
-def test_a_failure_leaves_no_half_figure(material, tmp_path, monkeypatch):
+def test_a_failure_leaves_no_half_figure(data, tmp_path, monkeypatch):
     (tmp_path / "box-plots.png").write_text("old")
 
     def savefig(path, **options):
         path.write_text("half")
         raise OSError(28, "No space left on device")
 
-    def draw(material):
-        return module.Drawn(SimpleNamespace(savefig=savefig))
+    def draw(data):
+        return module.DrawnFigure(SimpleNamespace(savefig=savefig))
 
-    monkeypatch.setattr(module, "FIGURES", (Entry("box-plots", "", draw),))
+    monkeypatch.setattr(module, "FIGURES", (PaperFigure("box-plots", "", draw),))
     with pytest.raises(FileError, match="disk is full"):
-        make_figures(material, tmp_path)
+        make_figures(data, tmp_path)
     assert (tmp_path / "box-plots.png").read_text() == "old"
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_what_does_not_suit_the_model_is_left_out_or_refused(material, tmp_path, unpainted):
-    material.model.config = PHYSICS.replace()
-    material.__dict__["_predicted"] = Shifted().predict(material.cases)
+def test_what_does_not_suit_the_model_is_left_out_or_refused(data, tmp_path, unpainted):
+    data.model.config = PHYSICS.replace()
+    data.__dict__["_predicted"] = Shifted().predict(data.cases)
     chosen = [name for name in ALWAYS if not name.startswith("noise")]
     with pytest.raises(InputError, match="fourier-effect: A model of the preset physics"):
-        make_figures(material, tmp_path, only=chosen)
-    entries = tuple(entry for entry in FIGURES if entry.name in chosen)
+        make_figures(data, tmp_path, only=chosen)
+    entries = tuple(figure for figure in FIGURES if figure.name in chosen)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FIGURES", entries)
-        made = make_figures(material, tmp_path)
-    left = {result.entry.name: result.reason for result in made if result.reason}
+        made = make_figures(data, tmp_path)
+    left = {result.figure.name: result.reason for result in made if result.reason}
     assert list(left) == ["fourier-effect"]
     assert "no Fourier stage" in left["fourier-effect"]
 
 
-def test_equations_that_diverge_cost_one_figure_only(material, tmp_path, unpainted, monkeypatch):
+def test_equations_that_diverge_cost_one_figure_only(data, tmp_path, unpainted, monkeypatch):
     def diverges(*arguments, **options):
         raise SolveError("case 3 diverges")
 
     monkeypatch.setattr("pcnde_bridge.studies.noise_study", diverges)
-    made = make_figures(material, tmp_path)
-    left = {result.entry.name: result.reason for result in made if result.reason}
+    made = make_figures(data, tmp_path)
+    left = {result.figure.name: result.reason for result in made if result.reason}
     assert left == dict.fromkeys(["noise-inflow", "noise-area"], "case 3 diverges")
     with pytest.raises(SolveError, match="noise-area: case 3 diverges"):
-        make_figures(material, tmp_path, only=["noise-area"])
+        make_figures(data, tmp_path, only=["noise-area"])
 
 
-def test_another_grid_is_refused_at_once(material, small_cases, tmp_path):
+def test_another_grid_is_refused_at_once(data, small_cases, tmp_path):
     cut = Cases(
         small_cases.flow[:, :, 1:],
         small_cases.area[:, :, 1:],
@@ -171,48 +171,48 @@ def test_another_grid_is_refused_at_once(material, small_cases, tmp_path):
         labels=small_cases.labels,
     )
     with pytest.raises(InputError, match="model was trained on 21"):
-        make_figures(Material(material.model, cut, cut), tmp_path / "out")
+        make_figures(FigureData(data.model, cut, cut), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_the_other_method_may_not_suit_the_data(material, caplog):
+def test_the_other_method_may_not_suit_the_data(data, caplog):
     class Unsuitable(Shifted):
         def predict(self, cases):
             raise InputError("the points are too far apart")
 
-    material.other = Unsuitable()
-    assert material.by_other(material.judged) is None
+    data.other = Unsuitable()
+    assert data.by_other(data.evaluated) is None
     assert "too far apart" in caplog.text
-    assert material.by_other(material.judged) is None
+    assert data.by_other(data.evaluated) is None
 
 
-def test_without_test_cases_the_training_cases_are_judged(toy_model, small_cases):
-    material = Material(toy_model, small_cases, small_cases, other=None)
-    assert material.judged is small_cases
-    assert material.hardest.labels[["geometry", "waveform"]].to_numpy().tolist() == [[3, 3]]
-    assert list(module._results(material).numbers.index) == [("PCNDE", "train")]
+def test_without_test_cases_the_training_cases_are_evaluated(toy_model, small_cases):
+    data = FigureData(toy_model, small_cases, small_cases, other=None)
+    assert data.evaluated is small_cases
+    assert data.hardest.labels[["geometry", "waveform"]].to_numpy().tolist() == [[3, 3]]
+    assert list(module._results.draw(data).numbers.index) == [("PCNDE", "train")]
 
 
-def test_predictions_keep_to_their_cases(material, small_cases):
+def test_predictions_keep_to_their_cases(data, small_cases):
     shuffled = small_cases.select([7, 0, 11])
-    alone = material.model.predict(shuffled).flow
-    assert material.predicted(shuffled)["flow"].tolist() == alone.tolist()
+    alone = data.model.predict(shuffled).flow
+    assert data.predicted(shuffled)["flow"].tolist() == alone.tolist()
     with pytest.raises(KeyError):
-        material.by_other(material.train)
+        data.by_other(data.train)
 
 
-def test_smoothness_names_the_truth(material, monkeypatch):
+def test_smoothness_names_the_truth(data, monkeypatch):
     seen, study = {}, SimpleNamespace(to_frame=pd.DataFrame)
     monkeypatch.setattr(module.studies, "compare_formulations", lambda *_, **__: study)
     monkeypatch.setattr(module.plots, "smoothness", lambda _, **options: seen.update(options))
-    material.truth_label = "1D solver"
-    module._smoothness(material)
+    data.truth_label = "1D solver"
+    module._smoothness.draw(data)
     assert seen == {"truth_label": "1D solver"}
 
 
-def test_outermost(small_cases):
-    assert outermost(small_cases) == 11
-    assert outermost(small_cases.select([11, 0, 5])) == 0
+def test_hardest_case(small_cases):
+    assert hardest_case(small_cases) == 11
+    assert hardest_case(small_cases.select([11, 0, 5])) == 0
 
 
 def test_choosing():
@@ -224,7 +224,7 @@ def test_choosing():
     ]
     with pytest.raises(InputError, match=r"no figure 'result'; the figures are: data-set, history"):
         choose(["result"])
-    assert len({entry.name for entry in FIGURES}) == len(FIGURES)
+    assert len({figure.name for figure in FIGURES}) == len(FIGURES)
 
 
 # ---- the command line ---------------------------------------------------------
@@ -246,7 +246,7 @@ def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
 def test_figures_that_fit_the_flow_anew(small_model, small_cases, small_split, tmp_path):
     train, test = small_cases.split(small_split)
     made = make_figures(
-        Material(small_model, small_cases, train, test, other=None), tmp_path, only=FLOW_ANEW
+        FigureData(small_model, small_cases, train, test, other=None), tmp_path, only=FLOW_ANEW
     )
     for result in made:
         assert {path.suffix for path in result.files} == {".png", ".pdf", ".csv"}

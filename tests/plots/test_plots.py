@@ -65,9 +65,9 @@ def texts(legend):
     return [text.get_text() for text in legend.get_texts()]
 
 
-def drawn(axis, colour):
-    """The lines of one colour, as (line, x)."""
-    return np.array([line.get_ydata() for line in axis.lines if to_hex(line.get_color()) == colour])
+def drawn(axis, color):
+    """The lines of one color, as (line, x)."""
+    return np.array([line.get_ydata() for line in axis.lines if to_hex(line.get_color()) == color])
 
 
 TRUTH, MODEL, OTHER = style.TRUTH.lower(), style.PREDICTED.lower(), style.OTHER.lower()
@@ -107,7 +107,7 @@ def test_results(predicted, small_cases):
     for bad, words in (
         ({"area_case": 12}, "area_case is 12"),
         ({"position": 1.2}, "position must be"),
-        ({"instant": -0.1}, "instant must be"),
+        ({"time_point": -0.1}, "time_point must be"),
         ({"other": {"flow": small_cases.flow[1:]}}, "not of the 12 cases"),
     ):
         with pytest.raises(InputError, match=words):
@@ -241,8 +241,8 @@ def test_fourier_effect(small_cases, predicted):
 def test_noise(small_cases, predicted):
     case = small_cases.select([10])
     mean = {name: values[10] for name, values in predicted.items()}
-    deviation = {name: 0.1 * values for name, values in mean.items()}
-    study = NoiseStudy("inflow", 0.05, 90, case, mean, mean, deviation)
+    standard_deviation = {name: 0.1 * values for name, values in mean.items()}
+    study = NoiseStudy("inflow", 0.05, 90, case, mean, mean, standard_deviation)
     figure = fits(plots.noise(study))
     rows = np.array(figure.axes).reshape(3, 2)
     assert texts(figure.legends[0]) == ["± standard deviation", "3D, averaged", "mean of PCNDE"]
@@ -309,15 +309,15 @@ DEUTERANOPIA = [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0
 
 
 @pytest.mark.parametrize("seen", [PROTANOPIA, DEUTERANOPIA], ids=["protanopia", "deuteranopia"])
-def test_colour_blind_readers_tell_the_curves_of_a_figure_apart(seen):
-    def linear(colour):
-        rgb = np.array(to_rgb(colour))
+def test_color_blind_readers_tell_the_curves_of_a_figure_apart(seen):
+    def linear(color):
+        rgb = np.array(to_rgb(color))
         return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
     for names in (("truth", "model", "other"), ("truth", "model", "empirical")):
-        looks = [style.CURVES[name] for name in names]
-        colours = [np.cbrt(np.clip(np.array(seen) @ linear(k["color"]), 0, 1)) for k in looks]
+        looks = [style.LINE_STYLES[name] for name in names]
+        colors = [np.cbrt(np.clip(np.array(seen) @ linear(k["color"]), 0, 1)) for k in looks]
         for i, j in combinations(range(3), 2):
-            assert np.linalg.norm(colours[i] - colours[j]) > 0.2
-        # And without any colour, by the line.
+            assert np.linalg.norm(colors[i] - colors[j]) > 0.2
+        # And without any color, by the line.
         assert len({look["ls"] for look in looks}) == 3
