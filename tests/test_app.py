@@ -225,7 +225,7 @@ def test_uploaded_waveform_is_what_the_command_line_would_take(model, bound):
         (b"time,flow\n0,1\n0.1,fast\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
         (b"time,flow\n0,1\n0.1,\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
         (b"time,flow\n0,1\n0.1,inf\n0.2,1\n", r"bad.csv: flow\[1\] is inf"),
-        (b"time,flow\n0,1\n0.1,2\n0.3,1\n", "bad.csv, line 3: the instants are not equally"),
+        (b"time,flow\n0,1\n0.1,2\n0.3,1\n", "bad.csv, line 3: the time points are not equally"),
         (b"time,flow\n0,1\n0.1,2\n", "bad.csv: A waveform needs at least 3 samples"),
     ],
 )

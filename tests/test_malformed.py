@@ -45,7 +45,7 @@ from pcnde_bridge.io import (
     write_vtp,
 )
 from pcnde_bridge.io.datasets import load_cases
-from pcnde_bridge.io.tables import read_columns
+from pcnde_bridge.io.input_tables import read_columns
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.published_weights import FILES as WEIGHTS
 from pcnde_bridge.model.published_weights import read_published_weights
@@ -86,7 +86,7 @@ def good(tmp_path_factory, small_cases, small_config):
     arrays = (getattr(few, name) for name in (*FIELDS, "area_undeformed", "time", "z"))
     prediction = Prediction(*arrays, period=1.0, labels=few.labels)
     prediction.to_frame().to_csv(folder / "tidy.csv", index=False)
-    write_vtp(replace_cases(prediction, 1), folder / "centreline.vtp")
+    write_vtp(replace_cases(prediction, 1), folder / "centerline.vtp")
     _write_sv1d(folder, few)
     rng = np.random.default_rng(0)
     undeformed = np.broadcast_to(rng.uniform(0.08, 0.12, size=101), (100, 101))
@@ -185,7 +185,7 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
             "area.csv", lambda path: read_columns(path, "z", few.z, "cm"),
             partial(fitted, inflow=inputs["inflow"]),
         ),
-        "vtp": Reader("centreline.vtp", read_simvascular, convert("simvascular")),
+        "vtp": Reader("centerline.vtp", read_simvascular, convert("simvascular")),
         "sv1d": Reader(
             "sv1d", lambda path: read_sv1d(path / "solver.in", period=1.0),
             lambda bad, out: convert("sv1d", "--period", 1)(bad / "solver.in", out),
@@ -502,12 +502,12 @@ TABLE = [
     ("area", "words", table(lambda f: f.assign(**{"case 0": "wide"})), InputError, "not a number"),
     ("area", "z in mm", scaled("z", 10), InputError, "but the model works at"),
     ("area", "time for z", swapped("z,", "time,"), InputError, "must have the columns z"),
-    # ---- centrelines
+    # ---- centerlines
     ("vtp", "missing", Path.unlink, DataNotFoundError, "There is no file"),
     ("vtp", "a folder", folder_instead, FileError, "is a folder"),
     ("vtp", "empty", replaced_by(b""), FileError, r"is not a \.vtp file"),
     ("vtp", "a mesh", swapped("PolyData", "UnstructuredGrid", -1), FileError, "is not a .vtp file"),
-    ("vtp", "half", cut(0.5), FileError, "truncated or damaged"),
+    ("vtp", "half", cut(0.5), FileError, "truncated, damaged"),
     ("vtp", "entities", replaced_by(LAUGHS), FileError, "defines XML entities"),
     ("vtp", "claims 10^15 points", swapped('Points="21"', 'Points="999999999999999"'),
      FileError, "values for 999999999999999 points"),
@@ -532,11 +532,11 @@ TABLE = [
     ("sv1d", "time step 0", inside("solver.in", swapped("S 0.05", "S 0.00")),
      FileError, "steps of 0"),
     ("sv1d", "no flow", inside("m_S0_flow.dat", Path.unlink), DataNotFoundError, "run the solver"),
-    ("sv1d", "ragged", inside("m_S0_area.dat", cut(0.9)), FileError, "rows|no table of numbers"),
+    ("sv1d", "ragged", inside("m_S0_area.dat", cut(0.9)), FileError, "rows|as a table of numbers"),
     ("sv1d", "binary", inside("m_S0_area.dat", replaced_by(b"\x00\xff\x01")),
-     FileError, "no table"),
+     FileError, "as a table"),
     ("sv1d", "NaN", inside("m_S0_pressure.dat", lambda p: np.savetxt(p, np.full((21, 20), np.nan))),
-     InputError, r"pressure\[0, 0\] is nan, which is not finite"),
+     InputError, r"pressure\[0, 0\] is nan: all values must be finite"),
     ("sv1d", "flow out of the inlet", inside(
         "m_S0_flow.dat", lambda p: np.savetxt(p, -np.loadtxt(p))), InputError, "--flip flow"),
     ("sv1d", "mmHg", inside("m_S0_pressure.dat", lambda p: np.savetxt(p, np.loadtxt(p) / 1333.22)),
@@ -547,9 +547,9 @@ TABLE = [
     ("csv", "binary", replaced_by(bytes(range(256)) * 9), FileError, "Cannot read a table"),
     ("csv", "no pressure", table(lambda f: f.drop(columns="pressure")),
      InputError, "lacks the colu"),
-    ("csv", "a row less", table(lambda f: f[:-1]), InputError, "give each instant and point once"),
+    ("csv", "a row less", table(lambda f: f[:-1]), InputError, "give each time point and point"),
     ("csv", "a row twice", table(lambda f: pd.concat([f, f[:1]])), InputError, "once"),
-    ("csv", "negative area", scaled("area", -1), InputError, "is not positive"),
+    ("csv", "negative area", scaled("area", -1), InputError, "areas must be positive"),
     ("csv", "z off by 1000", scaled("z", 1e3), InputError, "does not look like CGS"),
     ("csv", "pressure in Pa", scaled("pressure", 0.1), InputError, "--units pressure=Pa"),
     ("csv", "flow in mm³/s", scaled("flow", 1e3), InputError, r"--units flow=mm\^3/s"),
@@ -557,8 +557,8 @@ TABLE = [
     ("csv", "a label gone", table(lambda f: f.assign(geometry=None)),
      InputError, "label is missing"),
     # ---- HDF5 of others
-    ("hdf5", "empty", replaced_by(b""), FileError, "is no HDF5 file, or damaged"),
-    ("hdf5", "half", cut(0.5), FileError, "is no HDF5 file, or damaged"),
+    ("hdf5", "empty", replaced_by(b""), FileError, "as an HDF5 file: it is truncated, damaged"),
+    ("hdf5", "half", cut(0.5), FileError, "as an HDF5 file: it is truncated, damaged"),
     ("hdf5", "no flow", h5(lambda f: f.pop("flow")), InputError, r"lacks the data sets \['flow'\]"),
     ("hdf5", "transposed", h5(lambda f: put(f, "flow", f["flow"][()].transpose(0, 2, 1))),
      InputError,

@@ -22,7 +22,7 @@ from pcnde_bridge.hemodynamics.waveform import (
     Waveform,
     coronary,
 )
-from pcnde_bridge.io.tables import read_cycle
+from pcnde_bridge.io.input_tables import read_cycle
 from pcnde_bridge.model.pcnde import PCNDE
 
 _BEYOND = 0.25  # of the training range, on either side

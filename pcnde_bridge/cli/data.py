@@ -60,7 +60,7 @@ def convert(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="simvascular: .vtp centrelines with averaged results. sv1d: svOneDSolver's input "
+            help="simvascular: .vtp centerlines with averaged results. sv1d: svOneDSolver's input "
             "files (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
         ),
     ],
@@ -86,8 +86,9 @@ def convert(
     flip: Annotated[
         Flip | None, typer.Option("--flip", help="Turn the flow's sign, or the vessel's ends.")
     ] = None,
-    instants: Annotated[
-        int | None, typer.Option("--instants", help="Resample the cycle to so many equal steps.")
+    time_points: Annotated[
+        int | None,
+        typer.Option("--time-points", help="Resample the cycle to this number of equal steps."),
     ] = None,
     points: Annotated[
         int | None,
@@ -136,7 +137,7 @@ def convert(
         period=period,
         units=_pairs(units, "--units") if units and "=" in units else units,
         flip=flip and flip.value,
-        instants=instants,
+        time_points=time_points,
         points=points,
         labels=None if labels is None else formats.read_labels(labels, files),
     )

@@ -104,7 +104,7 @@ def predict(
         Path,
         typer.Option(
             "--out",
-            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centrelines, one for "
+            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one for "
             "each case) or .pvd (animation for ParaView).",
         ),
     ],
@@ -124,7 +124,7 @@ def predict(
     A model of the preset physics takes inflows at any equally spaced instants of a cycle and
     vessels at any points; another those of its training.
     """
-    from pcnde_bridge.io.tables import read_inputs
+    from pcnde_bridge.io.input_tables import read_inputs
 
     suffix = check_target(out, has_pressure=True)
     check_outputs(out, inputs=[model, inflow, area])

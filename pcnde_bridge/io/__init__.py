@@ -1,27 +1,26 @@
-"""Files of other programs: results in, predictions out; one file for each format.
+"""Data sets by name, results of other programs, and prediction files.
 
-What all readers share stands in :mod:`~pcnde_bridge.io.vessel_results`, and for it in
-:mod:`~pcnde_bridge.io.units` and :mod:`~pcnde_bridge.io.resampling`.
+Each format has its own module; every reader ends in :func:`to_cases`, which checks units,
+direction of the flow, the cycle and the grid.
 """
 
 from __future__ import annotations
 
+from pcnde_bridge.io.assemble import to_cases
+from pcnde_bridge.io.centerlines import write_pvd, write_vtp
 from pcnde_bridge.io.csv import read_csv
+from pcnde_bridge.io.datasets import download_published, find_published, load_cases
 from pcnde_bridge.io.hdf5 import read_hdf5
-from pcnde_bridge.io.simvascular import (
-    read_simvascular,
-    write_pvd,
-    write_vtp,
-)
+from pcnde_bridge.io.simvascular import read_simvascular
 from pcnde_bridge.io.svonedsolver import read_sv1d
-from pcnde_bridge.io.vessel_results import (
-    VesselResults,
-    read_labels,
-    to_cases,
-)
+from pcnde_bridge.io.tables import read_labels
+from pcnde_bridge.io.vessel_results import VesselResults
 
 __all__ = [
     "VesselResults",
+    "download_published",
+    "find_published",
+    "load_cases",
     "read_csv",
     "read_hdf5",
     "read_labels",

@@ -1,4 +1,4 @@
-"""Finding and downloading data sets, by name or by path."""
+"""Data sets by name or path, and the download of the published one."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ _FOLDER = f"csala2024-{PUBLISHED_COMMIT[:7]}"
 def find_published() -> Path | None:
     """Look for the published data set on this machine.
 
-    Looks at the folder named by the environment variable ``PCNDE_DATA``, then for a copy
-    that several checkouts share, beside them: ``../shared/csala2024`` relative to the
-    working directory and to the root of the repository; then at the download cache (whole
-    downloads only).
+    The places are, in this order: the folder named by the environment variable
+    ``PCNDE_DATA``; ``../shared/csala2024`` relative to the working directory and to the
+    root of the repository, a copy that several checkouts share; a complete download in
+    the cache.
 
     Returns
     -------
     pathlib.Path or None
-        The folder that holds ``data_3D``, or None when there is none.
+        The folder that contains ``data_3D``, or None if there is none.
 
     Raises
     ------
     DataNotFoundError
-        When ``PCNDE_DATA`` is set but does not name such a folder.
+        If ``PCNDE_DATA`` is set but does not name such a folder.
     """
     named = os.environ.get("PCNDE_DATA")
     if named:
         folder = Path(named).expanduser()
         if not (folder / "data_3D").is_dir():
-            why = "does not exist" if not folder.is_dir() else "holds no folder data_3D"
+            why = "does not exist" if not folder.is_dir() else "contains no folder data_3D"
             raise DataNotFoundError(
-                f"PCNDE_DATA is {named!r}, which {why}; set it to the folder that holds data_3D, "
-                "or unset it to have the data set looked for elsewhere"
+                f"PCNDE_DATA is {named!r}, which {why}; set it to the folder that contains "
+                "data_3D, or unset it to search elsewhere"
             )
         return folder.resolve()
     for start in (Path.cwd(), Path(__file__).resolve().parents[2]):
@@ -53,7 +53,7 @@ def find_published() -> Path | None:
         if (folder / "data_3D").is_dir():
             return folder
     cached = cache_folder(None) / _FOLDER
-    # A file gets its name only when its checksum is right, so its being there is enough.
+    # A file gets its name only after its checksum is confirmed, so that it need only exist.
     return cached if all((cached / name).is_file() for name in _checksums()) else None
 
 
@@ -66,41 +66,39 @@ def download_published(
 ) -> Path:
     """Download the published data set and trained weights (about 49 MB, 105 files).
 
-    Every file is checked against its known checksum. Files that are already in
-    the cache are not downloaded again, so an interrupted download goes on where
-    it stopped.
+    Every file is compared with its known checksum.  Files in the cache are not
+    downloaded again, so that an interrupted download can be resumed.
 
     Parameters
     ----------
     cache : str or path-like, optional
-        Where to put the files. By default the folder named by the environment
-        variable ``PCNDE_CACHE``, or else the user's cache folder.
+        Folder for the files.  By default the folder named by the environment variable
+        ``PCNDE_CACHE``, or else the user's cache folder.
     progress : bool, default True
         Show a progress bar on standard error.
     base_url : str, optional
         Address of the files, for a mirror of the authors' repository.
     retries : int, default 3
-        How often to try a file again.
+        Number of further attempts for each file.
 
     Returns
     -------
     pathlib.Path
-        The folder that holds ``data_3D`` and ``trained_weights``.
+        The folder that contains ``data_3D`` and ``trained_weights``.
 
     Raises
     ------
     DataNotFoundError
-        When a file cannot be downloaded or is not the published one.
+        If a file cannot be downloaded or is not the published one.
     FileError
-        When the cache cannot be written to.
+        If the cache cannot be written.
     """
     import pooch
     import requests
     from rich.console import Console
     from rich.progress import track
 
-    folder = cache_folder(cache) / _FOLDER
-    checksums = _checksums()
+    folder, checksums = cache_folder(cache) / _FOLDER, _checksums()
     base = base_url.rstrip("/") + "/"
     urls = {name: base + _remote(name) for name in checksums}
     fetcher = pooch.create(
@@ -108,11 +106,10 @@ def download_published(
     )
     logger = pooch.get_logger()
     level = logger.level
-    logger.setLevel("ERROR")  # else it prints a line for every file
+    logger.setLevel("ERROR")  # by default it prints one line for each file
+    names = track(checksums, "Downloading", console=Console(stderr=True), disable=not progress)
     try:
-        for name in track(
-            checksums, "Downloading", console=Console(stderr=True), disable=not progress
-        ):
+        for name in names:
             try:
                 fetcher.fetch(name)
             except requests.exceptions.RequestException as error:
@@ -131,17 +128,17 @@ def download_published(
 
 
 def load_cases(data: str | os.PathLike[str] | Cases) -> Cases:
-    """Load a data set from wherever it is.
+    """Load a data set by name or path.
 
     Parameters
     ----------
     data : str, path-like or Cases
-        The name of a data set (``"published"``: the one of the paper, found on
-        this machine or else downloaded; ``"synthetic"``: our own, computed once,
-        see :func:`pcnde_bridge.hemodynamics.synthetic.synthetic`); a folder in the published
-        layout; a file that :meth:`Cases.save` wrote; or a data set, returned as
-        it is.
-        A name wins over a file: write ``"./published"`` for a folder so named.
+        Name of a data set: ``"published"`` is the one of the paper, found on this machine
+        or downloaded; ``"synthetic"`` is computed once by
+        :func:`pcnde_bridge.hemodynamics.synthetic.synthetic`.  Or a folder in the layout
+        of the published data set, a file written by :meth:`Cases.save`, or a data set,
+        which is returned as it is.  A name takes precedence over a path: write
+        ``"./published"`` for a folder of this name.
 
     Returns
     -------
@@ -151,10 +148,10 @@ def load_cases(data: str | os.PathLike[str] | Cases) -> Cases:
     Raises
     ------
     DataNotFoundError
-        When there is neither such a name nor such a path, or the published data
-        set can be neither found nor downloaded.
+        If there is neither such a name nor such a path, or the published data set can be
+        neither found nor downloaded.
     FileError
-        When the files there are not usable.
+        If the files are not usable.
     """
     if isinstance(data, Cases):
         return data
@@ -182,7 +179,7 @@ def _compute_synthetic() -> Cases:
     return synthetic()
 
 
-#: The data sets that :func:`load_cases` knows by name, and how to get each.
+#: Functions that return the data sets that :func:`load_cases` knows by name.
 DATASETS: dict[str, Callable[[], Cases]] = {
     "published": _load_published,
     "synthetic": _compute_synthetic,
@@ -196,14 +193,14 @@ def _checksums() -> Mapping[str, str]:
 
 
 def _remote(name: str) -> str:
-    """Return the path that a file has in the authors' repository."""
+    """Return the path of a file in the authors' repository."""
     return f"data/{name}" if name.startswith("data_3D/") else name
 
 
 def _not_downloaded(name: str, url: str, folder: Path, why: str) -> DataNotFoundError:
     return DataNotFoundError(
-        f"{name} could not be downloaded from {url}: {why}. What has arrived stays in "
-        f"{str(folder)!r}; call again to go on. To get the data by hand, download "
+        f"{name} could not be downloaded from {url}: {why}. Finished files stay in "
+        f"{str(folder)!r}; call again to continue. To get the data by hand, download "
         f"{PUBLISHED_REPOSITORY} (commit {PUBLISHED_COMMIT[:7]}) on a machine with a connection "
-        "and set PCNDE_DATA to its folder 'data', which holds data_3D"
+        "and set PCNDE_DATA to its folder 'data', which contains data_3D"
     )

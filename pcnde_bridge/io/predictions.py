@@ -5,50 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
 
-import pandas as pd
-
-from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.files import atomic_write
 from pcnde_bridge._utils.optional import require
-from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.io.centerlines import write_pvd, write_vtp
+from pcnde_bridge.io.predicted import Predicted
 
-
-class Predicted(Protocol):
-    """The part of :class:`pcnde_bridge.Prediction` that is written to files."""
-
-    @property
-    def area_undeformed(self) -> Array:
-        """Undeformed area, shape (case, z), cm²."""
-
-    @property
-    def time(self) -> Array:
-        """Time points, s."""
-
-    @property
-    def z(self) -> Array:
-        """Axial positions, cm."""
-
-    @property
-    def period(self) -> float:
-        """Length of the cycle, s."""
-
-    @property
-    def labels(self) -> pd.DataFrame:
-        """Labels, one row for each case."""
-
-    def __len__(self) -> int: ...
-
-    def variables(self) -> dict[str, Array]:
-        """Return the predicted variables by name, shape (case, time, z)."""
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the prediction as a tidy frame."""
-
-    def to_cases(self) -> Cases:
-        """Return the prediction as a data set."""
+_DATA_SETS = (".npz", ".h5", ".hdf5")
+_CENTERLINES = {".vtp": write_vtp, ".pvd": write_pvd}
 
 
 def save(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
@@ -57,31 +22,30 @@ def save(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
     See :meth:`pcnde_bridge.Prediction.save` for the formats and errors.
     """
     suffix = check_target(path, "pressure" in prediction.variables())
+    if suffix in _CENTERLINES:
+        return _CENTERLINES[suffix](prediction, path)
     if suffix == ".csv":
         save_csv([prediction], path)
-    elif suffix in (".vtp", ".pvd"):
-        from pcnde_bridge.io.simvascular import write_pvd, write_vtp
-
-        return (write_vtp if suffix == ".vtp" else write_pvd)(prediction, path)
     else:
         prediction.to_cases().save(path)
     return [Path(path)]
 
 
 def save_csv(parts: Iterable[Predicted], path: str | os.PathLike[str]) -> int:
-    """Write the frames of predictions into one table, one after the other.
+    """Write the tables of several predictions into one file.
 
     Parameters
     ----------
     parts : iterable of Prediction
-        Such as :meth:`pcnde_bridge.PCNDE.predict_batches` gives: only one is in memory.
+        Predictions, such as those of :meth:`pcnde_bridge.PCNDE.predict_batches`; only one
+        is in memory at a time.
     path : path-like
         The file, ``.csv`` or ``.csv.gz``.
 
     Returns
     -------
     int
-        Cases that were written.
+        Number of cases.
 
     Raises
     ------
@@ -89,7 +53,7 @@ def save_csv(parts: Iterable[Predicted], path: str | os.PathLike[str]) -> int:
         If the file cannot be written.
     """
     count = 0
-    with atomic_write(path) as temporary:  # its ending, too, says whether to compress
+    with atomic_write(path) as temporary:  # its ending also selects the compression
         for part in parts:
             part.to_frame().to_csv(temporary, index=False, header=count == 0, mode="a")
             count += len(part)
@@ -97,40 +61,44 @@ def save_csv(parts: Iterable[Predicted], path: str | os.PathLike[str]) -> int:
 
 
 def check_target(path: str | os.PathLike[str], has_pressure: bool) -> str:
-    """Refuse a file that :meth:`Prediction.save` could not write, before anything is computed.
+    """Raise if :meth:`pcnde_bridge.Prediction.save` cannot write a file; compute nothing.
 
     Parameters
     ----------
     path : path-like
         The file.
     has_pressure : bool
-        Whether the pressure will be there.
+        Whether the prediction will have a pressure.
 
     Returns
     -------
     str
-        The ending that says the format.
+        The ending that names the format.
 
     Raises
     ------
-    FileError, InputError, MissingExtraError
-        As :meth:`Prediction.save`.
+    FileError
+        If the ending is unknown, or the folder does not exist.
+    InputError
+        If the format needs a pressure.
+    MissingExtraError
+        If the format needs VTK, which is not installed (extra ``vtk``).
     """
     target = Path(path)
     name = target.name.lower().removesuffix(".gz")
     suffix = Path(name).suffix
-    known = (".csv", ".npz", ".h5", ".hdf5", ".vtp", ".pvd")
-    if suffix not in known or (name != target.name.lower() and suffix != ".csv"):
+    compressed = name != target.name.lower()
+    if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES) or (compressed and suffix != ".csv"):
         raise FileError(
             f"Cannot tell the format of {target}: it must end in .csv, .npz, .h5, .vtp or .pvd."
         )
     if target.is_dir() or not target.parent.is_dir():
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")
-    if suffix in (".npz", ".h5", ".hdf5") and not has_pressure:
+    if suffix in _DATA_SETS and not has_pressure:
         raise InputError(
-            "The model has no pressure stages, so this is not a whole data set: write a .csv or "
-            ".vtp file."
+            "The model has no pressure stages, so its predictions are not complete data sets: "
+            "write a .csv or .vtp file."
         )
-    if suffix in (".vtp", ".pvd"):
+    if suffix in _CENTERLINES:
         require("vtkmodules.vtkIOXML", "vtk")
     return suffix

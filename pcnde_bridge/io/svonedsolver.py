@@ -1,35 +1,29 @@
 """Results of svOneDSolver: its input file and the text files that it writes.
 
 For each segment there are ``<model><segment>_flow.dat``, ``_area.dat`` and
-``_pressure.dat``: a row for each node from inlet to outlet, a column for each saved
-time step, the start included.  Lengths, areas and the time step stand in the input file
+``_pressure.dat``: one row for each node from inlet to outlet, one column for each saved
+time step, the start included.  Lengths, areas and the time step are in the input file
 (SEGMENT, SOLVEROPTIONS).
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Unpack
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.files import as_paths, check_file
+from pcnde_bridge._utils.files import as_paths
+from pcnde_bridge._utils.reading import reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.errors import (
-    DataNotFoundError,
-    FileError,
-    InputError,
-)
-from pcnde_bridge.io.vessel_results import CaseOptions, VesselResults, to_cases
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
+from pcnde_bridge.io.vessel_results import VesselResults
 
 
 @dataclass(frozen=True)
@@ -42,26 +36,33 @@ class _Segment:
     inlet_area: float
     outlet_area: float
 
+    @classmethod
+    def parse(cls, words: Sequence[str]) -> _Segment:
+        """Return the segment of the words of a line; raise an error if there is none."""
+        length, elements = float(words[3]), int(words[4])
+        if elements < 1 or not length > 0:
+            raise ValueError("the segment has no length or no elements")
+        areas = float(words[7]), float(words[8])
+        return cls(words[1], length, elements, words[5], words[6], *areas)
+
 
 def read_sv1d(
-    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    *,
-    segments: str | Sequence[str] | None = None,
-    **options: Unpack[CaseOptions],
+    paths: Paths, *, segments: str | Sequence[str] | None = None, **options: Unpack[CaseOptions]
 ) -> Cases:
     """Read results of svOneDSolver.
 
     Parameters
     ----------
-    paths : path-like or sequence of them
-        Input files of the solver (``.in``), one for each case; the results lie beside.
+    paths : path-like or sequence of path-like
+        Input files of the solver (``.in``), one for each case, with the results beside
+        them.
     segments : str or sequence of str, optional
-        Names of the segments that make the vessel, from the inlet on, each beginning
-        where the one before ends.  By default all, if they are such a chain.
+        Names of the segments of the vessel from its inlet on, each of which begins where
+        the one before ends.  By default all segments, if they are such a chain.
     **options
-        ``period``, ``units``, ``flip``, ``instants``, ``points`` and ``labels``, see
-        :func:`pcnde_bridge.io.vessel_results.to_cases`.  The period is needed: solutions
-        start from rest, and only their last cycle is taken.
+        ``period``, ``units``, ``flip``, ``time_points``, ``points`` and ``labels``, see
+        :func:`pcnde_bridge.io.to_cases`.  The period is required: solutions start from
+        rest, and only their last cycle is used.
 
     Returns
     -------
@@ -71,17 +72,17 @@ def read_sv1d(
     Raises
     ------
     DataNotFoundError
-        If a file is not there.
+        If a file does not exist.
     FileError
-        If a file is not of this format, or damaged.
+        If a file is damaged or of another format.
     InputError
-        If the segments are no chain, the period is missing, or units, flow or time
-        steps are doubtful.
+        If the segments are not a chain, the period is missing, or units, flow or time
+        steps are ambiguous.
     """
     if options.get("period") is None:
         raise InputError(
             "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
-            "(--period), in s, and their last cycle is taken."
+            "(--period), in s, and their last cycle is used."
         )
     wanted = [segments] if isinstance(segments, str) else segments
     return to_cases([_read_vessel(path, wanted) for path in as_paths(paths)], **options)
@@ -89,48 +90,46 @@ def read_sv1d(
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
     model, known, step = _read_input(path)
-    chain = _chain(path, known, wanted)
-    parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "undeformed", "z")}
-    start = 0.0
-    for number, segment in enumerate(chain):
-        # The first node of a segment is the last of the one before.
-        own = slice(0 if number == 0 else 1, None)
+    parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "area_undeformed", "z")}
+    start, n_steps = 0.0, None
+    for number, segment in enumerate(_chain(path, known, wanted)):
         nodes = segment.elements + 1
+        arrays = {
+            "z": start + np.linspace(0.0, segment.length, nodes),
+            "area_undeformed": np.linspace(segment.inlet_area, segment.outlet_area, nodes),
+        }
         for name in VARIABLES:
             file = path.parent / f"{model}{segment.name}_{name}.dat"
-            table = _read_table(file, nodes)
-            if parts[name] and table.shape[1] != parts[name][0].shape[1]:
+            arrays[name] = table = _read_table(file, nodes)
+            n_steps = n_steps or table.shape[1]
+            if table.shape[1] != n_steps:
                 raise FileError(
-                    f"{file} has {table.shape[1]} time steps, the segment before "
-                    f"{parts[name][0].shape[1]}: it is truncated, or of another run."
+                    f"{file} has {table.shape[1]} time steps, the files before {n_steps}: it is "
+                    "truncated, or of another run."
                 )
-            parts[name].append(table[own])
-        parts["z"].append(start + np.linspace(0.0, segment.length, nodes)[own])
-        areas = np.linspace(segment.inlet_area, segment.outlet_area, nodes)
-        parts["undeformed"].append(areas[own])
+        # The first node of a segment is the last one of the segment before.
+        first = 0 if number == 0 else 1
+        for name, array in arrays.items():
+            parts[name].append(array[first:])
         start += segment.length
-    whole = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    fields: dict[str, Any] = {name: joined[name].T for name in VARIABLES}
     return VesselResults(
         str(path),
-        whole["flow"].T,
-        whole["area"].T,
-        whole["pressure"].T,
-        whole["undeformed"],
-        step * np.arange(whole["flow"].shape[1], dtype=np.float64),
-        whole["z"],
+        **fields,
+        area_undeformed=joined["area_undeformed"],
+        time=step * np.arange(joined["flow"].shape[1], dtype=np.float64),
+        z=joined["z"],
     )
 
 
 def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
     """Return the model's name, its segments, and the time between saved steps."""
-    check_file(path, "the solver's input file (.in)")
+    with reading(path, "the solver's input file (.in)"):
+        # Comments have any encoding, and some editors put a mark before UTF-8.
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     model, step = None, None
     segments: dict[str, _Segment] = {}
-    try:
-        # Comments come in any encoding, and some editors put a mark before UTF-8.
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise FileError(f"{path} is not a readable text file: {error}.") from error
     for number, line in enumerate(lines, start=1):
         words = line.partition("#")[0].split()
         try:
@@ -139,12 +138,9 @@ def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
             elif words[:1] == ["SOLVEROPTIONS"]:
                 step = float(words[1]) * int(words[2])
             elif words[:1] == ["SEGMENT"]:
-                segment = _Segment(
-                    words[1], float(words[3]), int(words[4]), words[5], words[6],
-                    float(words[7]), float(words[8]),
-                )  # fmt: skip
-                if segment.name in segments or segment.elements < 1 or not segment.length > 0:
-                    raise ValueError("it is there twice, or has no length or no elements")
+                segment = _Segment.parse(words)
+                if segment.name in segments:
+                    raise ValueError("a segment of this name exists")
                 segments[segment.name] = segment
         except (IndexError, ValueError) as error:
             raise FileError(
@@ -181,16 +177,15 @@ def _chain(path: Path, known: dict[str, _Segment], wanted: Sequence[str] | None)
 
 
 def _read_table(path: Path, nodes: int) -> Array:
+    """Return the numbers of a result file, one row for each node."""
     if not path.is_file():
         raise DataNotFoundError(
             f"There is no file {path}: run the solver with the output TEXT, and leave its results "
             "beside its input file."
         )
-    try:
+    with reading(path, "a table of numbers"):
         rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
         table = np.array([[float(word) for word in row] for row in rows if row])
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path} is no table of numbers, or damaged: {error}.") from error
     if table.ndim != 2 or len(table) != nodes:
         raise FileError(
             f"{path} has {len(table)} rows, but the input file gives its segment {nodes} nodes: it "

@@ -1,18 +1,16 @@
-"""Units of other programs' results: their factors into CGS, and doubts about the unstated."""
+"""Units of other programs' results: conversion to CGS and plausibility checks."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pcnde_bridge.errors import InputError
-
-if TYPE_CHECKING:
-    from pcnde_bridge.io.vessel_results import VesselResults
+from pcnde_bridge.io.vessel_results import VesselResults
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
     "flow": {
@@ -28,7 +26,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     "z": {"cm": 1.0, "mm": 0.1, "m": 100.0},
     "time": {"s": 1.0, "ms": 1e-3},
 }
-"""Units that results may have, and their factors into CGS (cm, s, mL/s, cm², dyn/cm²)."""
+"""Known units of each quantity and their factors to CGS (cm, s, mL/s, cm², dyn/cm²)."""
 
 SYSTEMS: Mapping[str, Mapping[str, str]] = {
     "cgs": {"flow": "mL/s", "area": "cm^2", "pressure": "dyn/cm^2", "z": "cm", "time": "s"},
@@ -37,21 +35,32 @@ SYSTEMS: Mapping[str, Mapping[str, str]] = {
 }
 """Systems of units by name."""
 
-# What arteries have: median pressure 20 … 300 mmHg, median flow of a small branch … of the
-# aorta, median area of a diameter of 0.25 mm … 7 cm, length, and length of the recording.
+# Usual ranges in arteries: pressure of 20 … 300 mmHg, flow of a small branch … of the aorta,
+# area of a diameter of 0.25 mm … 7 cm.
 _USUAL = {
-    "pressure": (2.67e4, 4e5),
-    "flow": (1e-3, 300.0),
-    "area": (5e-4, 40.0),
-    "z": (0.1, 150.0),
-    "time": (0.1, 60.0),
+    "pressure": ("the median pressure", 2.67e4, 4e5),
+    "flow": ("the median flow", 1e-3, 300.0),
+    "area": ("the median undeformed area", 5e-4, 40.0),
+    "z": ("the length of the vessel", 0.1, 150.0),
+    "time": ("the length of the recording", 0.1, 60.0),
 }
 _USUAL_SPEED = (1.0, 300.0)  # cm/s
 _USUAL_SLENDERNESS = (0.3, 90.0)  # length over diameter
 
 
 def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
-    """Return the units that the caller states."""
+    """Return the units that the caller states, by quantity.
+
+    Parameters
+    ----------
+    units : str, mapping or None
+        Name of a system of units, or units by quantity.
+
+    Raises
+    ------
+    InputError
+        If the system, a quantity or a unit is unknown.
+    """
     if units is None:
         return {}
     if isinstance(units, str):
@@ -72,7 +81,7 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
 
 
 def in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
-    """Convert results from the units that the caller or else the file states."""
+    """Convert results to CGS from the units that the caller, or else the file, states."""
     unit = {**SYSTEMS["cgs"], **vessel.units, **stated}
     factor = {name: FACTORS[name][unit[name]] for name in FACTORS}
     factor["area_undeformed"] = factor["area"]
@@ -82,37 +91,40 @@ def in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
 
 
 def check_units(vessel: VesselResults, stated: set[str]) -> None:
-    """Refuse numbers that arteries do not have in CGS units, where nobody stated these."""
-    diameter = math.sqrt(4 / math.pi * float(np.median(vessel.area_undeformed)))
+    """Raise if numbers of unstated units are unusual for arteries in CGS units.
+
+    Parameters
+    ----------
+    vessel : VesselResults
+        Results, taken to be in CGS units.
+    stated : set of str
+        Quantities whose units are stated; these are not checked.
+
+    Raises
+    ------
+    InputError
+        If a number is unusual; the message suggests a unit in which it is usual.
+    """
     area = float(np.median(vessel.area_undeformed))
-    flow = float(np.median(np.abs(vessel.flow)))
-    length = float(np.ptp(vessel.z))
     sizes = {
         "pressure": float(np.median(np.abs(vessel.pressure))),
-        "flow": flow,
+        "flow": float(np.median(np.abs(vessel.flow))),
         "area": area,
-        "z": length,
+        "z": float(np.ptp(vessel.z)),
         "time": float(np.ptp(vessel.time)),
     }
-    said = {
-        "pressure": "the median pressure",
-        "flow": "the median flow",
-        "area": "the median undeformed area",
-        "z": "the length of the vessel",
-        "time": "the length of the recording",
-    }
     doubts = [
-        _doubt(name, said[name], size, *_USUAL[name])
-        for name, size in sizes.items()
-        if name not in stated and size > 0
+        _doubt(name, what, sizes[name], low, high)
+        for name, (what, low, high) in _USUAL.items()
+        if name not in stated and sizes[name] > 0
     ]
     if not any(doubts):
-        # Each may be usual alone, and yet not go with the others.
-        if not {"flow", "area"} <= stated and flow > 0:
-            doubts.append(_doubt("flow", "flow over area", flow, *_USUAL_SPEED, over=area))
+        # Numbers that are usual each by itself may still be inconsistent.
+        if not {"flow", "area"} <= stated and sizes["flow"] > 0:
+            doubts.append(_doubt("flow", "flow over area", sizes["flow"], *_USUAL_SPEED, area))
         if not {"z", "area"} <= stated:
-            what = "the length over the diameter"
-            doubts.append(_doubt("z", what, length, *_USUAL_SLENDERNESS, over=diameter))
+            what, diameter = "the length over the diameter", math.sqrt(4 / math.pi * area)
+            doubts.append(_doubt("z", what, sizes["z"], *_USUAL_SLENDERNESS, diameter))
         if "area" not in stated and not 0.2 <= (ratio := np.median(vessel.area) / area) <= 5:
             doubts.append(f"the median area is {ratio:.3g} times the undeformed one")
     if found := [doubt for doubt in doubts if doubt]:
@@ -124,10 +136,13 @@ def check_units(vessel: VesselResults, stated: set[str]) -> None:
 
 
 def _doubt(name: str, what: str, size: float, low: float, high: float, over: float = 1.0) -> str:
-    """Say what is unusual, and in which units it would not be."""
+    """Describe an unusual number and a unit in which it is usual; empty if it is usual."""
     if low <= size / over <= high:
         return ""
     usual = [unit for unit, f in FACTORS[name].items() if low <= f * size / over <= high]
-    hint = f"in {usual[0]} it would be usual: units={{'{name}': '{usual[0]}'}}" if usual else ""
-    hint += f" (--units {name}={usual[0]})" if usual else "it is usual in no unit known here"
-    return f"{what} is {size / over:.4g}; {hint}"
+    if not usual:
+        return f"{what} is {size / over:.4g}, which is unusual in every known unit"
+    return (
+        f"{what} is {size / over:.4g}; in {usual[0]} it would be usual: "
+        f"units={{'{name}': '{usual[0]}'}} (--units {name}={usual[0]})"
+    )

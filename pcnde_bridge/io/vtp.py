@@ -1,8 +1,8 @@
-"""Reader of VTK's XML files of lines (``.vtp``), safe with damaged files.
+"""Reader of VTK's XML files of lines (``.vtp``) that is safe with damaged files.
 
 VTK's own reader ends the process, or takes all memory, when a damaged file claims to
-hold more than it does.  This one takes no more memory than the file has data for.  The
-format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
+hold more than it does.  This reader takes no more memory than the file has data for.
+Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
 from __future__ import annotations
@@ -20,32 +20,43 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._utils.files import check_claim, check_file
+from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._utils.files import check_claim
+from pcnde_bridge._utils.reading import reading
 from pcnde_bridge.errors import FileError
 
-_TYPES = {f"{kind}{bits}": f"{kind[0].lower()}{bits // 8}" for kind, bits in (
-    ("Float", 32), ("Float", 64), *((k, b) for k in ("Int", "UInt") for b in (8, 16, 32, 64)),
-)}  # fmt: skip
+_TYPES = {
+    "Float32": "f4",
+    "Float64": "f8",
+    **{f"Int{bits}": f"i{bits // 8}" for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": f"u{bits // 8}" for bits in (8, 16, 32, 64)},
+}
+"""Names of numpy's types by those of VTK."""
+
+_DECOMPRESSORS: Mapping[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": lzma.LZMADecompressor,
+}
 
 
 class Lines(NamedTuple):
-    """What a file holds.
+    """Content of a file of lines.
 
     Attributes
     ----------
     points : array of shape (point, 3)
         Coordinates.
     lines : list of array of int
-        The points of each line.
+        Numbers of the points of each line.
     arrays : dict of str to array of shape (point,) or (point, component)
-        Numbers at the points.
+        Values at the points.
     facts : dict of str to number or str
-        Single values that belong to the whole file (field data).
+        Single values of the whole file (field data).
     """
 
-    points: npt.NDArray[np.float64]
-    lines: list[npt.NDArray[np.int64]]
-    arrays: dict[str, npt.NDArray[np.float64]]
+    points: Array
+    lines: list[IntArray]
+    arrays: dict[str, Array]
     facts: dict[str, Any]
 
 
@@ -55,44 +66,39 @@ def read_lines(path: Path) -> Lines:
     Parameters
     ----------
     path : Path
-        Data may be ascii, inline or appended, compressed by zlib, LZMA or not.
+        File with ascii, inline or appended data, compressed by zlib, LZMA or not.
 
     Raises
     ------
     DataNotFoundError
-        If it is not there.
+        If the file does not exist.
     FileError
-        If it is truncated or damaged, or something else.
+        If the file is truncated, damaged or of another kind.
     """
-    check_file(path, "a .vtp file")
-    try:
+    with reading(path, "a .vtp file"):
         content = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"Cannot read {path}: {error}.") from error
-    if b"<VTKFile" not in content[:4096] or b'type="PolyData"' not in content[:4096]:
-        raise FileError(
-            f"{path} is not a .vtp file (VTK XML PolyData). Export the centreline as .vtp."
-        )
-    head, tag, appended = content.partition(b"<AppendedData")
-    if b"<!DOCTYPE" in head or b"<!ENTITY" in head:
-        raise FileError(f"{path} defines XML entities, which no .vtp file needs; it is not read.")
-    try:
-        # Appended raw data are no XML; without them the rest is.
+        if b"<VTKFile" not in content[:4096] or b'type="PolyData"' not in content[:4096]:
+            raise FileError(
+                f"{path} is not a .vtp file (VTK XML PolyData). Export the centerline as .vtp."
+            )
+        head, tag, appended = content.partition(b"<AppendedData")
+        if b"<!DOCTYPE" in head or b"<!ENTITY" in head:
+            raise FileError(
+                f"{path} defines XML entities, which no .vtp file needs; it is not read."
+            )
+        # Raw appended data are not XML; the part before them is, once it is closed.
         root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head)
         return _lines(root, _Decoder(root.attrib, appended))
-    except Exception as error:  # damaged bytes can make nearly anything of it
-        raise FileError(
-            f"{path} is truncated or damaged, or of a kind that is not read ({error})."
-        ) from error
 
 
 def _lines(root: ElementTree.Element, decode: _Decoder) -> Lines:
+    """Return the content of the only piece of a file."""
     pieces = root.findall("PolyData/Piece")
     if len(pieces) != 1:
         raise ValueError(f"it has {len(pieces)} pieces, not one")
     piece = pieces[0]
     n = int(piece.attrib["NumberOfPoints"])
-    arrays: dict[str, npt.NDArray[np.float64]] = {}
+    arrays: dict[str, Array] = {}
     for item in piece.findall("PointData/DataArray"):
         name = item.attrib["Name"]
         if item.attrib["type"] in _TYPES and name not in arrays:
@@ -110,9 +116,8 @@ def _lines(root: ElementTree.Element, decode: _Decoder) -> Lines:
     return Lines(points, lines, arrays, _facts(root, decode))
 
 
-def _shaped(
-    name: str, values: npt.NDArray[Any], attributes: Mapping[str, str], n: int
-) -> npt.NDArray[np.float64]:
+def _shaped(name: str, values: npt.NDArray[Any], attributes: Mapping[str, str], n: int) -> Array:
+    """Return values as one row, or one number, for each of n points."""
     components = int(attributes.get("NumberOfComponents", 1))
     if components < 1 or values.size != n * components:
         raise ValueError(f"{name} has {values.size} values for {n} points")
@@ -121,12 +126,10 @@ def _shaped(
 
 
 def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
+    """Return the field data that are single numbers or texts."""
     facts: dict[str, Any] = {}
-    items = [
-        *root.findall("PolyData/FieldData/DataArray"),
-        *root.findall("PolyData/FieldData/Array"),
-    ]
-    for item in items:
+    fields = "PolyData/FieldData"
+    for item in (*root.findall(f"{fields}/DataArray"), *root.findall(f"{fields}/Array")):
         name, kind = item.attrib.get("Name"), item.attrib.get("type")
         if name is None or kind not in (*_TYPES, "String"):
             continue
@@ -141,14 +144,12 @@ def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
 
 
 class _Decoder:
-    """Gives the numbers of a DataArray, wherever and however the file holds them."""
+    """Decoder of the numbers of a DataArray, wherever and however they are stored."""
 
     def __init__(self, attributes: Mapping[str, str], appended: bytes) -> None:
-        order = {"LittleEndian": "<", "BigEndian": ">"}[
-            attributes.get("byte_order", "LittleEndian")
-        ]
-        self._order = order
-        self._header = np.dtype(order + _TYPES[attributes.get("header_type", "UInt32")])
+        orders = {"LittleEndian": "<", "BigEndian": ">"}
+        self._order = orders[attributes.get("byte_order", "LittleEndian")]
+        self._header = np.dtype(self._order + _TYPES[attributes.get("header_type", "UInt32")])
         self._compressor = attributes.get("compressor")
         tag, _, data = appended.partition(b">")
         self._encoded = b'encoding="raw"' not in tag
@@ -157,6 +158,7 @@ class _Decoder:
             self._appended = re.sub(rb"\s", b"", self._appended.partition(b"<")[0])
 
     def __call__(self, item: ElementTree.Element) -> npt.NDArray[Any]:
+        """Return the numbers of a DataArray in one row."""
         kind = item.attrib["type"]
         dtype = np.dtype(self._order + ("u1" if kind == "String" else _TYPES[kind]))
         form, text = item.attrib["format"], item.text or ""
@@ -167,7 +169,7 @@ class _Decoder:
         elif form == "appended":
             offset = int(item.attrib["offset"])
             if not 0 <= offset <= len(self._appended):
-                raise ValueError(f"{item.attrib['Name']} lies outside the file")
+                raise ValueError(f"{item.attrib['Name']} is outside the file")
             data = self._bytes(self._appended[offset:], self._encoded)
         else:
             raise ValueError(f"unknown format {form!r}")
@@ -177,8 +179,7 @@ class _Decoder:
         """Decode one array: its header of sizes, and the data."""
         width = self._header.itemsize
         first = int(self._numbers(_part(source, 0, width, encoded)[0])[0])
-        unpack = _unpacker(self._compressor)
-        if unpack is None:
+        if self._compressor is None:
             data, _ = _part(source, 0, width + first, encoded)
             return data[width:]
         # The header is a stream of its own: blocks, their size, that of the last, packed sizes.
@@ -189,18 +190,28 @@ class _Decoder:
             sizes[-1] = last
         check_claim(sum(sizes), len(source))
         blocks, _ = _part(source, position, sum(packed), encoded)
-        at = np.concatenate([[0], np.cumsum(np.array(packed, dtype=np.int64))]).tolist()
-        out = [
-            unpack(blocks[a:b], whole) for (a, b), whole in zip(pairwise(at), sizes, strict=True)
-        ]
-        return b"".join(out)
+        ends = np.cumsum([0, *packed], dtype=np.int64).tolist()
+        return b"".join(
+            self._unpacked(blocks[start:end], size)
+            for (start, end), size in zip(pairwise(ends), sizes, strict=True)
+        )
+
+    def _unpacked(self, block: bytes, size: int) -> bytes:
+        """Decompress a block to its size, and no further."""
+        decompressor = _DECOMPRESSORS.get(str(self._compressor))
+        if decompressor is None:
+            raise ValueError(f"its compressor {self._compressor} is unknown: save it with zlib")
+        data: bytes = decompressor().decompress(block, max(size, 1))
+        if len(data) != size:
+            raise ValueError("a block has the wrong size")
+        return data
 
     def _numbers(self, header: bytes) -> npt.NDArray[Any]:
         return np.frombuffer(header, self._header)
 
 
 def _part(source: bytes, position: int, length: int, encoded: bool) -> tuple[bytes, int]:
-    """Return so many bytes from a position of the source, and where they end."""
+    """Return a number of bytes from a position of the source, and the position after them."""
     end = position + (4 * -(-length // 3) if encoded else length)
     if length < 0 or end > len(source):
         raise ValueError("it ends too early")
@@ -209,23 +220,3 @@ def _part(source: bytes, position: int, length: int, encoded: bool) -> tuple[byt
     if len(data) < length:
         raise ValueError("it ends too early")
     return data[:length], end
-
-
-def _unpacker(compressor: str | None) -> Callable[[bytes, int], bytes] | None:
-    """Return what unpacks a block to its size, and no further."""
-    if compressor is None:
-        return None
-    if compressor == "vtkZLibDataCompressor":
-        make: Callable[[], Any] = zlib.decompressobj
-    elif compressor == "vtkLZMADataCompressor":
-        make = lzma.LZMADecompressor
-    else:
-        raise ValueError(f"its compressor {compressor} is not known here: save it with zlib")
-
-    def unpack(block: bytes, size: int) -> bytes:
-        data: bytes = make().decompress(block, max(size, 1))
-        if len(data) != size:
-            raise ValueError("a block has not its size")
-        return data
-
-    return unpack

@@ -178,7 +178,7 @@ class Prediction:
         ----------
         path : path-like
             ``.csv`` (also ``.csv.gz``): the frame; ``.npz`` or ``.h5``: a data set;
-            ``.vtp``: a centreline with arrays for each time step, for many cases one
+            ``.vtp``: a centerline with arrays for each time step, for many cases one
             file each; ``.pvd``: the same for ParaView, as an animation.
 
         Returns

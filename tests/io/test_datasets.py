@@ -84,7 +84,7 @@ def elsewhere(monkeypatch, tmp_path):
     monkeypatch.setenv("PCNDE_CACHE", str(tmp_path / "cache"))
     (tmp_path / "a" / "b").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "a" / "b")
-    monkeypatch.setattr(datasets, "__file__", str(tmp_path / "x" / "y" / "z" / "datasets.py"))
+    monkeypatch.setattr(datasets, "__file__", str(tmp_path / "x/y/z/io/datasets.py"))
     return tmp_path
 
 
@@ -138,7 +138,7 @@ def test_goes_on_after_an_interruption(server, elsewhere, fault, message):
         download_published(progress=False, base_url=server.url, retries=1)
     text = str(caught.value)
     assert text.startswith("data_3D/case_1_1/averagedTo1DFrom0_case_1_1.npy could not be downlo")
-    for part in (server.url + second, "call again to go on", "by hand", "PCNDE_DATA"):
+    for part in (server.url + second, "call again to continue", "by hand", "PCNDE_DATA"):
         assert part in text
     folder = elsewhere / "cache" / "csala2024-6ec3ff9"
     first = next(iter(FILES))
@@ -222,7 +222,7 @@ def test_finds_what_pcnde_data_names(elsewhere, monkeypatch):
     with pytest.raises(DataNotFoundError, match=r"PCNDE_DATA is '.*absent', which does not exist;"):
         find_published()
     monkeypatch.setenv("PCNDE_DATA", str(elsewhere / "mine" / "data_3D"))
-    with pytest.raises(DataNotFoundError, match=r"holds no folder data_3D; set it to the folder"):
+    with pytest.raises(DataNotFoundError, match=r"contains no folder data_3D; set it to"):
         find_published()
 
 

@@ -1,0 +1,202 @@
+"""Assembly of a data set from the results of vessels, the last step of every reader.
+
+Units, direction of the flow, the cycle and the grid are checked here.  Ambiguous results
+are rejected with the option that settles the question; nothing is flipped, cut or
+interpolated unasked.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, whole
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.io.resampling import (
+    check_same_grid,
+    match_length,
+    on_points,
+    on_time_points,
+    one_cycle,
+)
+from pcnde_bridge.io.units import SYSTEMS, check_units, in_cgs, stated_units
+from pcnde_bridge.io.vessel_results import VesselResults
+
+Flip = Literal["flow", "z"]
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+"""One path or several."""
+
+
+class CaseOptions(TypedDict, total=False):
+    """Options of :func:`to_cases` that every reader accepts."""
+
+    period: float | None
+    units: str | Mapping[str, str] | None
+    flip: Flip | None
+    time_points: int | None
+    points: int | npt.ArrayLike | None
+    labels: pd.DataFrame | Mapping[str, Any] | None
+
+
+def to_cases(
+    results: Sequence[VesselResults],
+    *,
+    period: float | None = None,
+    units: str | Mapping[str, str] | None = None,
+    flip: Flip | None = None,
+    time_points: int | None = None,
+    points: int | npt.ArrayLike | None = None,
+    labels: pd.DataFrame | Mapping[str, Any] | None = None,
+) -> Cases:
+    """Check the results of vessels and assemble a data set.
+
+    Parameters
+    ----------
+    results : sequence of VesselResults
+        One for each case.
+    period : float, optional
+        Length of the cycle, s.  The last complete cycle of a longer recording is used, and
+        an end point that repeats the start is left out; cycles begin at multiples of the
+        period.  By default the recording is one cycle without its end point.
+    units : str or mapping, optional
+        ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
+        ``{"pressure": "mmHg"}``.  Units that neither the caller nor the file states are
+        taken to be CGS if the numbers are usual for arteries, and rejected otherwise.
+    flip : {'flow', 'z'}, optional
+        Change the sign of the flow, or reverse z, where the flow of the file runs against
+        its z.
+    time_points : int, optional
+        Resample the cycle to this number of equal steps by Fourier series; unequal steps
+        are interpolated by a periodic cubic spline before.
+    points : int or array of shape (z,), optional
+        Resample to this number of equally spaced points, or to these points (cm), by
+        monotone cubic interpolation, which does not overshoot at a stenosis.
+    labels : DataFrame or mapping, optional
+        One row for each case, as in :class:`Cases`.  By default the labels of the files;
+        without any, ``geometry`` numbers the cases.
+
+    Returns
+    -------
+    Cases
+        The data set in CGS units.
+
+    Raises
+    ------
+    InputError
+        If results are not usable or ambiguous; the message names the file and the option
+        that settles the question.
+    """
+    if not results:
+        raise InputError("There are no results for a data set: name at least one file.")
+    if flip not in (None, "flow", "z"):
+        raise InputError(f"flip must be 'flow' or 'z', got {flip!r}.")
+    if time_points is not None:
+        time_points = whole("time_points", time_points, 4)
+    stated = stated_units(units)
+    known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(stated)
+    vessels = []
+    for given in results:
+        _check_arrays(given)
+        vessel = _flipped(in_cgs(given, stated), flip)
+        check_units(vessel, known | set(given.units))
+        _check_direction(vessel)
+        vessels.append(on_points(on_time_points(one_cycle(vessel, period), time_points), points))
+    first = vessels[0]
+    if points is not None and np.ndim(points) == 0:
+        vessels = [match_length(vessel, first) for vessel in vessels]
+    for vessel in vessels[1:]:
+        check_same_grid(first, vessel)
+    stacked = {
+        name: np.stack([getattr(vessel, name) for vessel in vessels])
+        for name in (*VARIABLES, "area_undeformed")
+    }
+    table = _labels_of(vessels) if labels is None else labels
+    return Cases(**stacked, time=first.time, z=first.z, period=first.period, labels=table)
+
+
+def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
+    """Return the labels of the files, with numbers for the keys that they lack."""
+    first = vessels[0]
+    for other in vessels[1:]:
+        mine, theirs = sorted(first.labels), sorted(other.labels)
+        if mine != theirs:
+            raise InputError(
+                f"{first.name} has the labels {mine}, but {other.name} {theirs}: give all files "
+                "the same labels, or pass labels= (--labels)."
+            )
+    labels = pd.DataFrame([dict(vessel.labels) for vessel in vessels])
+    for name, values in (("geometry", np.arange(len(labels))), ("waveform", 0)):
+        if name not in labels:
+            labels[name] = values
+    return labels
+
+
+def _check_arrays(vessel: VesselResults) -> None:
+    """Raise unless shapes agree and all values are possible."""
+    n_times, n_points = vessel.time.size, vessel.z.size
+    if n_times < 4 or n_points < 3:
+        raise InputError(
+            f"{vessel.name} has {n_times} time points and {n_points} points; at least 4 and 3 are "
+            "needed."
+        )
+    arrays = {**vessel.variables(), "area_undeformed": vessel.area_undeformed}
+    axes = {"time": vessel.time, "z": vessel.z}
+    try:
+        for name, array in arrays.items():
+            one_axis = name == "area_undeformed"
+            check_shape(
+                name,
+                array,
+                (n_points,) if one_axis else (n_times, n_points),
+                "z" if one_axis else "time, z",
+            )
+        for name, array in (arrays | axes).items():
+            check_finite(name, array)
+            if name.startswith("area"):
+                check_values(name, array, array <= 0, "areas must be positive")
+        for name, axis in axes.items():
+            rule = f"{name} must increase; sort the results and remove duplicates"
+            check_values(name, axis[1:], np.diff(axis) <= 0, rule, offset=1)
+    except InputError as error:
+        raise InputError(f"{vessel.name}: {error}.") from error
+
+
+def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
+    if flip == "flow":
+        return dataclasses.replace(vessel, flow=-vessel.flow)
+    if flip == "z":
+        # The sign of the flow refers to the direction of z, which is reversed too.
+        return vessel.change(
+            lambda values: values[:, ::-1],
+            flow=-vessel.flow[:, ::-1],
+            area_undeformed=vessel.area_undeformed[::-1],
+            z=vessel.z[0] + vessel.z[-1] - vessel.z[::-1],
+        )
+    return vessel
+
+
+def _check_direction(vessel: VesselResults) -> None:
+    """Raise if the flow runs against z, or changes its sign along the vessel."""
+    inlet, outlet = vessel.flow.mean(axis=0)[[0, -1]]
+    small = 1e-3 * np.abs(vessel.flow).max()
+    if inlet < -small:
+        raise InputError(
+            f"{vessel.name}: the flow runs against z, its mean is {inlet:.4g} mL/s at the first "
+            "point. If flow out of the vessel counts as positive there, pass flip='flow' "
+            "(--flip flow); if the points run from the outlet to the inlet, flip='z' (--flip z)."
+        )
+    if inlet > small and outlet < -small:
+        raise InputError(
+            f"{vessel.name}: the mean flow is {inlet:.4g} mL/s at the first point and {outlet:.4g} "
+            "mL/s at the last: its sign changes along the vessel. Give flow along z the same "
+            "sign at all points."
+        )

@@ -1,0 +1,180 @@
+"""Predictions as centerline files for SimVascular and ParaView (``.vtp``, ``.pvd``)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import numpy.typing as npt
+
+from pcnde_bridge._utils.files import atomic_write, check_writable, make_folder
+from pcnde_bridge._utils.optional import require
+from pcnde_bridge._version import __version__
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.io.predicted import Predicted
+
+LABEL_PREFIX = "labels/"
+"""Beginning of the names of field data that are labels of a case."""
+
+_WRITER = "pcnde_bridge"  # name of the array that marks files of this package
+
+
+def write_vtp(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
+    """Write a prediction as centerlines with arrays for each time step.
+
+    The vessel is a straight line along z.  :func:`pcnde_bridge.io.read_simvascular` reads
+    the files back.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Prediction of one or several cases.
+    path : path-like
+        File that ends in ``.vtp``.  Several cases are written to numbered files,
+        ``name_000.vtp`` and so on; other such files of an earlier prediction are removed.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be written.
+    MissingExtraError
+        If VTK is not installed (extra ``vtk``).
+    """
+    target = Path(path)
+    cases = range(len(prediction))
+    names = [target.with_name(f"{target.stem}_{case:03d}{target.suffix}") for case in cases]
+    if len(names) == 1:
+        names = [target]
+    contents = {name: _vtp(prediction, case, None) for case, name in enumerate(names)}
+    earlier = rf"{re.escape(target.stem)}_\d{{3,}}{re.escape(target.suffix)}"
+    return _write_all(contents, target.parent, earlier)
+
+
+def write_pvd(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
+    """Write a prediction as an animation for ParaView: one file for each time step.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Prediction whose cases become the parts of each time step.
+    path : path-like
+        File that ends in ``.pvd``.  It names the others, which are in a folder of the same
+        name; other such files of an earlier prediction are removed.
+
+    Returns
+    -------
+    list of Path
+        The ``.pvd`` file, then the others.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be written.
+    MissingExtraError
+        If VTK is not installed (extra ``vtk``).
+    """
+    target = Path(path)
+    folder = target.with_suffix("")
+    contents: dict[Path, bytes] = {}
+    rows = []
+    for step, time in enumerate(prediction.time):
+        for case in range(len(prediction)):
+            name = folder / f"{target.stem}_{case:03d}_{step:04d}.vtp"
+            contents[name] = _vtp(prediction, case, step)
+            file = quoteattr(f"{folder.name}/{name.name}")
+            rows.append(f'<DataSet timestep="{float(time)!r}" part="{case}" file={file}/>\n')
+    collection = (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'
+        f"{''.join(rows)}</Collection></VTKFile>\n"
+    )
+    check_writable(target)
+    make_folder(folder)
+    earlier = rf"{re.escape(target.stem)}_\d{{3,}}_\d{{4,}}\.vtp"
+    return _write_all({target: collection.encode(), **contents}, folder, earlier)
+
+
+def _write_all(contents: Mapping[Path, bytes], folder: Path, earlier: str) -> list[Path]:
+    """Write all files or none, and remove those of an earlier prediction from the folder.
+
+    Files that were left over would be read as a part of this prediction.
+    """
+    with contextlib.ExitStack() as all_or_none:
+        for path, content in contents.items():
+            all_or_none.enter_context(atomic_write(path)).write_bytes(content)
+    written = {path.name for path in contents}
+    for path in folder.iterdir():
+        if path.name in written or not re.fullmatch(earlier, path.name):
+            continue
+        try:
+            if f'Name="{_WRITER}"'.encode() in path.read_bytes():
+                path.unlink()
+        except OSError as error:
+            raise FileError(f"Cannot remove {path} of an earlier prediction: {error}.") from error
+    return list(contents)
+
+
+def _vtp(prediction: Predicted, case: int, step: int | None) -> bytes:
+    """Return the content of a ``.vtp`` file: one time step, or arrays for each of them."""
+    model = require("vtkmodules.vtkCommonDataModel", "vtk")
+    core, io = require("vtkmodules.vtkCommonCore", "vtk"), require("vtkmodules.vtkIOXML", "vtk")
+    to_vtk = require("vtkmodules.util.numpy_support", "vtk").numpy_to_vtk
+    data, points, lines = model.vtkPolyData(), core.vtkPoints(), model.vtkCellArray()
+    n = prediction.z.size
+    line = np.zeros((n, 3))
+    line[:, 2] = prediction.z
+    points.SetData(to_vtk(line, deep=True))
+    data.SetPoints(points)
+    lines.InsertNextCell(n, list(range(n)))
+    data.SetLines(lines)
+    for name, values in _point_arrays(prediction, case, step).items():
+        array = to_vtk(np.ascontiguousarray(values), deep=True)
+        array.SetName(name)
+        data.GetPointData().AddArray(array)
+    labels = prediction.labels.iloc[case].items()
+    facts = {f"{LABEL_PREFIX}{name}": value for name, value in labels}
+    for name, value in {"period": prediction.period, _WRITER: __version__, **facts}.items():
+        if isinstance(value, str):
+            array = core.vtkStringArray()
+            array.InsertNextValue(value)
+        else:
+            number = int(value) if isinstance(value, bool | np.bool_) else value  # VTK has no bool
+            array = to_vtk(np.array([number]), deep=True)
+        array.SetName(name)
+        data.GetFieldData().AddArray(array)
+    writer = io.vtkXMLPolyDataWriter()
+    writer.SetInputData(data)
+    writer.WriteToOutputStringOn()
+    if not writer.Write():
+        raise FileError("VTK could not write the centerline.")
+    return str(writer.GetOutputString()).encode()
+
+
+def _point_arrays(
+    prediction: Predicted, case: int, step: int | None
+) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays at the points of the centerline."""
+    n = prediction.z.size
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "BranchId": np.zeros(n, dtype=np.int64),
+        "GlobalNodeId": np.arange(n),
+        "Path": prediction.z - prediction.z[0],
+        "area_undeformed": prediction.area_undeformed[case],
+    }
+    for name, values in prediction.variables().items():
+        if step is not None:
+            arrays[name] = values[case, step]
+        else:
+            for time, row in zip(prediction.time, values[case], strict=True):
+                arrays[f"{name}_{float(time)!r}"] = row
+    return arrays

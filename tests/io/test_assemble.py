@@ -1,0 +1,68 @@
+"""Assembly of a data set: whole results, direction of the flow, options."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from io_helpers import replaced, results_of
+
+from pcnde_bridge import InputError
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.io import to_cases
+
+
+def test_whole_results_are_taken_as_they_are(small_cases):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = to_cases([results_of(small_cases, i) for i in (3, 6)])
+    assert found.period == 1.0
+    for name in (*VARIABLES, "area_undeformed"):
+        assert np.array_equal(getattr(found, name), getattr(small_cases, name)[[3, 6]])
+    assert list(found.labels["geometry"]) == [0, 1]
+
+
+def test_flow_against_z_is_refused_with_both_remedies(vessel):
+    outwards = replaced(vessel, flow=-vessel.flow)
+    with pytest.raises(InputError, match=r"runs against z.*--flip flow.*--flip z"):
+        to_cases([outwards])
+    assert to_cases([outwards], flip="flow") == to_cases([vessel])
+    backwards = replaced(
+        vessel,
+        area_undeformed=vessel.area_undeformed[::-1],
+        **{f: (-1 if f == "flow" else 1) * getattr(vessel, f)[:, ::-1] for f in VARIABLES},
+    )
+    with pytest.raises(InputError, match="runs against z"):
+        to_cases([backwards])
+    found = to_cases([backwards], flip="z")
+    np.testing.assert_allclose(found.z, vessel.z, atol=1e-15)
+    for name in VARIABLES:
+        assert np.array_equal(getattr(found, name)[0], getattr(vessel, name))
+    mixed = np.where(vessel.z > 3, -1, 1) * vessel.flow
+    with pytest.raises(InputError, match="its sign changes along the vessel"):
+        to_cases([replaced(vessel, flow=mixed)])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"units": "cgi"}, "Unknown units 'cgi'"),
+        ({"units": 3}, "units must be a name or a mapping"),
+        ({"units": {"pressure": "bar"}}, "Unknown unit 'bar' of pressure; known are .*mmHg"),
+        ({"units": {"presure": "Pa"}}, "units names 'presure'"),
+        ({"flip": "area"}, "flip must be 'flow' or 'z'"),
+        ({"time_points": 3}, "time_points must be a whole number ≥ 4"),
+        ({"time_points": 10.5}, "time_points must be a whole number"),
+        ({"period": -1.0}, "period must be positive and finite"),
+        ({"period": "1"}, "period must be a number"),
+    ],
+)
+def test_bad_options(vessel, options, message):
+    with pytest.raises(InputError, match=message):
+        to_cases([vessel], **options)
+
+
+def test_nothing_to_read():
+    with pytest.raises(InputError, match="name at least one file"):
+        to_cases([])

@@ -1,0 +1,218 @@
+"""Tables of inflows and areas: columns, axes, pairs of columns, and rejected tables."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pcnde_bridge import FileError, InputError
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.io import read_csv
+from pcnde_bridge.io.input_tables import read_columns, read_cycle, read_inputs
+from pcnde_bridge.model.prediction import Prediction
+
+GRID = Grid(np.arange(4) / 4, np.arange(3.0), 1.0)
+
+
+@pytest.fixture
+def read_both(tmp_path):
+    """Read tables of constant columns; by their names, what each column holds."""
+
+    def read_both(flows, areas, any_grid=False):
+        for file, axis, values, columns in (
+            ("inflow.csv", "time", GRID.time, flows),
+            ("area.csv", "z", GRID.z, areas),
+        ):
+            table = {axis: values} | {k: np.full(values.size, float(v)) for k, v in columns.items()}
+            pd.DataFrame(table).to_csv(tmp_path / file, index=False)
+        return read_inputs(tmp_path / "inflow.csv", tmp_path / "area.csv", GRID, any_grid=any_grid)
+
+    return read_both
+
+
+@pytest.mark.parametrize("any_grid", [True, False])
+def test_columns_of_the_same_names_belong_together(read_both, any_grid):
+    found = read_both({"P1": 1, "P2": 2, "P3": 3}, {"P3": 30, "P1": 10, "P2": 20}, any_grid)
+    assert found.names == ["P1", "P2", "P3"]
+    assert np.array_equal(found.inflow, np.outer([1, 2, 3], np.ones(4)))
+    assert np.array_equal(found.area_undeformed, np.outer([10, 20, 30], np.ones(3)))
+    assert found.area_undeformed.flags.c_contiguous
+    assert set(found.where) == ({"z", "period"} if any_grid else set())
+    if any_grid:
+        assert found.where["period"] == 1.0
+        assert np.array_equal(found.where["z"], GRID.z)
+
+
+def test_columns_of_other_names_are_paired_by_place(read_both):
+    found = read_both({"q1": 1, "q2": 2}, {"s2": 20, "s1": 10})
+    assert found.names == ["q1", "q2"]
+    assert np.array_equal(found.area_undeformed[:, 0], [20, 10])
+
+
+def test_one_column_goes_with_all(read_both):
+    found = read_both({"P2": 2}, {"P1": 10, "P2": 20})
+    assert found.names == ["P1", "P2"]
+    assert (len(found.inflow), len(found.area_undeformed)) == (1, 2)
+    for array in (found.inflow, found.area_undeformed):  # as engines take them
+        assert array.dtype == np.float64
+        assert array.flags.c_contiguous
+    found = read_both({"P1": 1, "P2": 2}, {"P2": 20})
+    assert found.names == ["P1", "P2"]
+    assert (len(found.inflow), len(found.area_undeformed)) == (2, 1)
+    assert read_both({"rest": 1}, {"P1": 10}).names == ["rest"]
+
+
+@pytest.mark.parametrize("areas", [{"P2": 2, "P3": 3}, {"P1": 1, "P2": 2, "P3": 3}])
+def test_names_of_which_some_are_alike_are_refused(read_both, areas):
+    with pytest.raises(InputError, match=r"inflow\.csv and .*area\.csv have .* P3 only one"):
+        read_both({"P1": 1, "P2": 2}, areas)
+
+
+def test_predictions_take_the_names(read_both, tmp_path):
+    found = read_both({"007": 1, "012": 2, "x": 3}, {"x": 30, "007": 10, "012": 20})
+    one = np.ones((2, 4, 3))
+    labels = pd.DataFrame({"case": [1, 2]})  # of a batch that begins with the second
+    part = Prediction(one, 0.1 * one, 5e4 * one, 0.1 * one[:, 0], GRID.time, GRID.z, 1.0, labels)
+    named = dataclasses.replace(part, labels=found.name_labels(part.labels))
+    assert named.labels.to_dict("list") == {"case": [1, 2], "name": ["012", "x"]}
+    assert list(part.labels) == ["case"]
+    named.save(tmp_path / "p.csv")
+    back = read_csv(tmp_path / "p.csv", period=1.0, units="cgs")
+    assert list(back.labels["name"]) == ["012", "x"]
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-15, 3e-7])
+def test_an_end_point_that_round_off_tells_from_the_start_is_found(tmp_path, off):
+    time = np.arange(101) / 100
+    flow = 1.3 + 0.3 * np.sin(2 * np.pi * time - 0.7)
+    flow[-1] = flow[0] + 0.6 * off
+    pd.DataFrame({"time": time, "q": flow}).to_csv(tmp_path / "q.csv", index=False)
+    with pytest.raises(InputError, match="line 102: the cycle's end repeats its start"):
+        read_cycle(tmp_path / "q.csv", 0.0, 1.0)
+
+
+def test_an_end_point_counts_by_the_range_of_each_waveform(tmp_path):
+    """A small oscillation about a large mean is no repetition, nor one that ends elsewhere."""
+    time = np.arange(101) / 100
+    small = 1e3 + 1e-4 * np.sin(6 * time)
+    pd.DataFrame({"time": time, "q": small}).to_csv(tmp_path / "q.csv", index=False)
+    assert read_cycle(tmp_path / "q.csv", 0.0, 1.0)[0] == pytest.approx(1.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("time;a\n0;1\n0,25;2\n", FileError, "separated by semicolons: save it with commas"),
+        ("time;a\n0;1,5\n0,25;2,5,1\n", FileError, "separated by semicolons"),
+        ("time\ta\n0\t1\n", FileError, "separated by tabs: save it with commas"),
+        ("time,a\n".encode("utf-16"), FileError, "not UTF-8 text .* Save it as CSV in UTF-8"),
+        ("\n\n \ntime,a\n0,1\n\n0.25,x\n", InputError, "line 7, column a: not a number"),
+        ("\ntime,a\n0,1\n0.3,1\n0.5,1\n0.75,1\n", InputError, "line 4: time is 0.3 s"),
+    ],
+)
+def test_tables_of_another_kind_are_told_what_to_do(tmp_path, text, error, message):
+    path = tmp_path / "q.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(error, match=message):
+        read_columns(path, "time", GRID.time, "s")
+
+
+def test_blanks_after_commas_belong_to_nothing(tmp_path):
+    (tmp_path / "q.csv").write_text("time, a, b\n0, 1, 2\n0.25, 1, 2\n0.5, 1, 2\n0.75, 1, 2\n")
+    found = read_columns(tmp_path / "q.csv", "time", GRID.time, "s").to_numpy().T
+    assert np.array_equal(found, [[1] * 4, [2] * 4])
+
+
+TIME = np.arange(4) / 4
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text, expected=TIME, axis="time"):
+        path = tmp_path / "table.csv"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_columns(path, axis, expected, "s").to_numpy().T
+
+    return read
+
+
+def test_columns_are_cases(read):
+    found = read("time,a,b\n0,1,10\n0.25,2,20\n0.5,3,30\n0.75,4.5,1e3\n")
+    assert np.array_equal(found, [[1, 2, 3, 4.5], [10, 20, 30, 1000]])
+
+
+def test_one_column_names_of_any_kind_and_line_ends(read):
+    found = read(b"\xef\xbb\xbftime,3\r\n0,1\r\n0.25,2\r\n0.5,3\r\n0.75,4\r\n")
+    assert np.array_equal(found, [[1, 2, 3, 4]])
+
+
+def test_numbers_written_with_few_digits_are_the_axis(read):
+    expected = np.arange(3) / 3
+    assert read("time,a\n0,1\n0.3333333,2\n0.6666667,3\n", expected).shape == (1, 3)
+
+
+@pytest.mark.parametrize("header", ["t,a", "z,a", "time", "Time,a", "a,time"])
+def test_the_first_column_must_be_the_axis(read, header):
+    rows = "".join(f"{t}" + ",1" * header.count(",") + "\n" for t in TIME)
+    with pytest.raises(InputError, match=r"table\.csv must have the columns time, then one"):
+        read(f"{header}\n{rows}")
+
+
+@pytest.mark.parametrize("bad", ["x", "", "1;2", "nan"])
+@pytest.mark.parametrize("line", [2, 4, 5])
+def test_what_is_not_a_number_is_named_by_line_and_column(read, bad, line):
+    rows = [f"{t},1,2" for t in TIME]
+    rows[line - 2] = f"{TIME[line - 2]},1,{bad}"
+    with pytest.raises(InputError, match=f"line {line}, column q2: not a number"):
+        read("time,q1,q2\n" + "\n".join(rows) + "\n")
+
+
+def test_another_number_of_rows(read):
+    with pytest.raises(InputError, match=r"3 rows, but the model works on 4 .*0 to 0\.75 s"):
+        read("time,a\n0,1\n0.25,1\n0.5,1\n")
+    with pytest.raises(InputError, match="table"):
+        read("time,a\n")
+
+
+@pytest.mark.parametrize("value", ["0.51", "inf", "-0.5"])
+def test_another_axis(read, value):
+    with pytest.raises(InputError, match=r"line 4: time is .* works at 0\.5 s"):
+        read(f"time,a\n0,1\n0.25,1\n{value},1\n0.75,1\n")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"\xff\xfe\x00\x01", b'time,a\n0,"1\n', b"a,b\n1,2\n1,2,3,4\n"]
+)
+def test_no_table(read, content):
+    with pytest.raises((FileError, InputError), match=r"table\.csv"):
+        read(content)
+
+
+def test_no_file(tmp_path):
+    for path in (tmp_path / "nowhere.csv", tmp_path):
+        with pytest.raises(FileError, match="Cannot read a table from"):
+            read_columns(path, "time", TIME, "s")
+
+
+def test_a_cycle_begins_where_the_models_does_and_has_no_end_point(tmp_path):
+    time = np.arange(21) / 20
+    flow = 1 + np.sin(2 * np.pi * time)
+    flow[-1] = flow[0]
+    path = tmp_path / "q.csv"
+
+    def written(time, flow):
+        pd.DataFrame({"time": time, "q": flow}).to_csv(path, index=False)
+        return path
+
+    period, columns = read_cycle(written(time[:-1], flow[:-1]), 0.0, 1.0)
+    assert period == pytest.approx(1.0)
+    assert np.array_equal(columns, flow[:-1, None])
+    with pytest.raises(InputError, match="the cycle's end repeats its start"):
+        read_cycle(written(time, flow), 0.0, 1.0)
+    # What is a whole cycle of another period, flat at its end, is taken.
+    assert read_cycle(written(1.1 * time, flow), 0.0, 1.0)[0] == pytest.approx(1.155)
+    with pytest.raises(InputError, match=r"time starts at 0\.5 s, but it must start at 0 s"):
+        read_cycle(written(time[:-1] + 0.5, flow[:-1]), 0.0, 1.0)
