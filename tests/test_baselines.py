@@ -28,11 +28,8 @@ from pcnde_bridge.evaluation.benchmark import (
     bench_model,
     write_rows,
 )
-from pcnde_bridge.hemodynamics.solver import (
-    Tube1D,
-    Windkessel,
-    outlet_resistance,
-)
+from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.model.metrics import pooled_errors
 
 

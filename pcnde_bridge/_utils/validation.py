@@ -133,6 +133,19 @@ def check_finite(name: str, array: AnyArray) -> None:
     check_values(name, array, ~np.isfinite(array), "all values must be finite")
 
 
+def finite_array(name: str, value: npt.ArrayLike) -> Array:
+    """Return a C-contiguous float64 copy of an array of finite real numbers.
+
+    Raises
+    ------
+    InputError
+        If it is ragged, masked or not of real numbers, or a value is not finite.
+    """
+    array = real_array(name, value)
+    check_finite(name, array)
+    return array
+
+
 def check_increasing(name: str, array: Array, unit: str = "") -> None:
     """Raise unless a row of numbers increases strictly; report the first that does not.
 

@@ -16,11 +16,8 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.errors import PCNDEError
-from pcnde_bridge.hemodynamics.solver import (
-    Tube1D,
-    Windkessel,
-    outlet_resistance,
-)
+from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.synthetic import OUTLET_RESISTANCE
 from pcnde_bridge.hemodynamics.tube_laws import LinearWall
 from pcnde_bridge.model.pcnde import PCNDE

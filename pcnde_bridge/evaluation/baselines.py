@@ -21,11 +21,8 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.hemodynamics.solver import (
-    Tube1D,
-    Windkessel,
-    outlet_resistance,
-)
+from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.tube_laws import PAPER_REFERENCE_PRESSURE, LinearWall
 
 _Learnt = TypeVar("_Learnt")

@@ -17,7 +17,7 @@ from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.evaluation.baselines import Baseline
-from pcnde_bridge.hemodynamics.synthetic import fewer_words
+from pcnde_bridge.hemodynamics.solver import warnings_only
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
 
@@ -124,7 +124,7 @@ def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> 
 
 def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[str, float]], float]:
     """Pooled errors of every set, and milliseconds per case of the last."""
-    with fewer_words():
+    with warnings_only():
         errors = {name: pooled_errors(predict(cases), cases) for name, cases in sets.items()}
         cases = list(sets.values())[-1]
         seconds: list[float] = []

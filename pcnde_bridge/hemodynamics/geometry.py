@@ -1,4 +1,4 @@
-"""Idealised stenosed vessels: a straight tube with any number of narrowings.
+"""Idealized stenosed vessels: a straight tube with any number of narrowings.
 
 The narrowing is the one of Sherwin et al. (2003) that the paper uses, in the form
 measured on the paper's data: with x the distance from the throat and L_s the
@@ -19,33 +19,27 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import (
-    all_of,
-    finite,
-    positive,
-    real_array,
-    whole,
-)
+from pcnde_bridge._utils.validation import all_of, finite, positive, real_array, whole
 from pcnde_bridge.errors import InputError
 
 
 @dataclass(frozen=True)
 class Stenosis:
-    """One narrowing of a vessel.
+    """Narrowing of a vessel.
 
     Attributes
     ----------
     blockage : float
         Fraction of the healthy area that is closed at the throat, in [0, 1).
     position : float
-        Of the throat, cm from the inlet.
+        Distance of the throat from the inlet, cm.
     length : float
-        L_s, cm.
+        Length L_s, cm.
 
     Raises
     ------
     InputError
-        If one is not a finite number, the blockage outside [0, 1) or the length not positive.
+        If a value is not a finite number, the blockage outside [0, 1) or the length not positive.
     """
 
     blockage: float
@@ -64,25 +58,25 @@ class Stenosis:
 
     @property
     def start(self) -> float:
-        """Upstream edge, cm from the inlet."""
+        """Distance of the upstream edge from the inlet, cm."""
         return self.position - self.length / 2
 
     @property
     def end(self) -> float:
-        """Downstream edge, cm from the inlet."""
+        """Distance of the downstream edge from the inlet, cm."""
         return self.position + self.length / 2
 
 
 @dataclass(frozen=True)
 class Vessel:
-    """A straight tube, healthy or with stenoses; the default is the paper's tube.
+    """Straight tube, healthy or with stenoses; the default is the paper's tube.
 
     Attributes
     ----------
     stenoses : tuple of Stenosis
-        None, one or several, which must neither overlap nor leave the tube.
+        Any number of stenoses, which must neither overlap nor leave the tube.
     length, diameter : float
-        Of the tube, and of its healthy cross-section, cm.
+        Length of the tube and diameter of its healthy cross-section, cm.
 
     Raises
     ------
@@ -122,20 +116,20 @@ class Vessel:
 
     @property
     def healthy_area(self) -> float:
-        """S_D, cross-section without a stenosis, cm²."""
+        """Cross-section S_D without a stenosis, cm²."""
         return math.pi * self.diameter**2 / 4
 
     @property
     def blockage(self) -> float:
-        """Largest blockage of all stenoses, 0 for a healthy vessel."""
+        """Largest blockage of all stenoses; 0 for a healthy vessel."""
         return max((s.blockage for s in self.stenoses), default=0.0)
 
     def grid(self, n_points: int = 101) -> Array:
-        """Equally spaced points from inlet to outlet, cm, shape (n_points,)."""
+        """Return equally spaced points from inlet to outlet, cm, shape (n_points,)."""
         return np.linspace(0.0, self.length, whole("n_points", n_points, 2))
 
     def radius_undeformed(self, z: npt.ArrayLike) -> Array:
-        """Radius of the unloaded tube, cm.
+        """Return the radius of the unloaded tube, cm, shape (...).
 
         Parameters
         ----------
@@ -145,7 +139,7 @@ class Vessel:
         Raises
         ------
         InputError
-            If a point is no real number, or lies outside the tube.
+            If a point is not a real number, or lies outside the tube.
         """
         z = real_array("z", z)
         tolerance = 1e-9 * self.length
@@ -165,6 +159,5 @@ class Vessel:
         return radius
 
     def area_undeformed(self, z: npt.ArrayLike) -> Array:
-        """S_u, cross-section of the unloaded tube, cm²; parameters as for the radius."""
-        area: Array = np.pi * self.radius_undeformed(z) ** 2
-        return area
+        """Return the cross-section S_u of the unloaded tube, cm²; see :meth:`radius_undeformed`."""
+        return np.asarray(np.pi * self.radius_undeformed(z) ** 2)

@@ -16,12 +16,12 @@ from typing import Any
 
 
 def diameter(area: Any) -> Any:
-    """Diameter of a circle, cm, from its area, cm²."""
+    """Return the diameter of a circle, cm, of an area in cm²."""
     return (4.0 / math.pi * area) ** 0.5
 
 
 def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: float = 0.04) -> Any:
-    """Reynolds number of the mean velocity and the diameter, ρ·|Q|·D/(S·μ).
+    """Return the Reynolds number of the mean velocity and the diameter, ρ·|Q|·D/(S·μ).
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: floa
 
 
 def viscous_coefficient(area_healthy: Any, area_throat: Any, length: Any) -> Any:
-    """K_v = 32·(L_s/D₀)·(S_D/S_s)², dimensionless.
+    """Return the dimensionless coefficient K_v = 32·(L_s/D₀)·(S_D/S_s)².
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ def viscous_coefficient(area_healthy: Any, area_throat: Any, length: Any) -> Any
 
 
 def effective_length(length: Any, area_throat: Any) -> Any:
-    """Length 0.83·L_s + 1.64·D_s, cm, that Seeley and Young themselves put into K_v.
+    """Return Seeley and Young's own length in K_v, 0.83·L_s + 1.64·D_s, cm.
 
-    The paper prints L_s alone; svOneDSolver uses this one.
+    The paper prints L_s alone; svOneDSolver uses this length.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def effective_length(length: Any, area_throat: Any) -> Any:
 def viscous_drop(
     flow: Any, area_healthy: Any, area_throat: Any, length: Any, viscosity: float = 0.04
 ) -> Any:
-    """Viscous part ρ·Q²/S_D²·K_v/Re of the pressure drop, dyn/cm².
+    """Return the viscous part ρ·Q²/S_D²·K_v/Re of the pressure drop, dyn/cm².
 
-    One Q and the density cancel against Re.  What is left, K_v·μ·Q/(S_D·D₀), is
+    One Q and the density cancel against Re.  The remaining form, K_v·μ·Q/(S_D·D₀), is
     defined at rest and changes sign with the flow.  It is Poiseuille's drop in a
     tube of the throat's area.
 
@@ -90,10 +90,10 @@ def turbulent_drop(
     density: float = 1.06,
     turbulent_coefficient: float = 1.52,
 ) -> Any:
-    """Turbulent part K_t·ρ·Q·|Q|/(2·S_D²)·(S_D/S_s − 1)² of the pressure drop, dyn/cm².
+    """Return the turbulent part K_t·ρ·Q·|Q|/(2·S_D²)·(S_D/S_s − 1)² of the drop, dyn/cm².
 
-    The paper prints Q².  Q·|Q| is the same for forward flow, and makes the loss
-    oppose reversed flow instead of driving it.
+    The paper prints Q².  Q·|Q| is the same for forward flow, and opposes reversed
+    flow instead of driving it.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def pressure_drop(
     viscosity: float = 0.04,
     turbulent_coefficient: float = 1.52,
 ) -> Any:
-    """Pressure drop Δp along a stenosis, dyn/cm²: viscous plus turbulent part.
+    """Return the pressure drop Δp along a stenosis, dyn/cm²: viscous plus turbulent part.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def pressure_drop(
     Returns
     -------
     array, shape (...)
-        Broadcast over all arguments; numpy in, numpy out, and the same for JAX.
+        Drop, broadcast over all arguments; a numpy or JAX array as the arguments.
     """
     return viscous_drop(flow, area_healthy, area_throat, length, viscosity) + turbulent_drop(
         flow, area_healthy, area_throat, density, turbulent_coefficient

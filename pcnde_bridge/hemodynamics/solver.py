@@ -10,8 +10,8 @@ with δ = 1/(1 + ζ) and N = −2πν(ζ + 2) for the velocity profile 1 − (r/
 Inlet: Q = Q_in(t).  Outlet: a resistance or three-element Windkessel.
 
 **Space.**  Finite volumes on a staggered grid (Harlow and Welch 1965): areas in
-cells, flows on their faces, so that the inlet flow sits on the inlet and volume is
-conserved to round-off.  The area on a face is the harmonic mean of its cells: the
+cells, flows on their faces, so that the inlet flow is imposed at the inlet and volume
+is conserved to round-off.  The area on a face is the harmonic mean of its cells: the
 convective and pressure terms of a steady flow then sum to −(1 + δ)·ρ/2·Δ(Q²/S²)
 exactly, and the grid adds no loss of its own in a stenosis.  Second order.
 
@@ -34,39 +34,30 @@ waveforms are computed to 1e-5 of the flow and 1e-3 of the pressure.
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
-from pcnde_bridge._utils.validation import (
-    finite,
-    positive,
-    whole,
-)
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.hemodynamics.discretisation import (
+from pcnde_bridge.hemodynamics.discretization import (
+    Labels,
     Problem,
-    check,
-    check_vessels,
+    discretize,
+    discretize_vessels,
     fits,
     upstream_area,
 )
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.tr_bdf2 import run
-from pcnde_bridge.hemodynamics.tube_laws import LinearWall, OlufsenWall
+from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.settings import TubeSettings
 from pcnde_bridge.hemodynamics.waveform import Waveform
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-StenosisLoss = Literal["none", "paper", "effective_length"]
 
 _log = logging.getLogger(__name__)
 
@@ -74,38 +65,13 @@ _NOT_PERIODIC = 1e-3
 
 
 @dataclass(frozen=True)
-class Windkessel:
-    """Outlet: a resistance, or three elements, in front of a distal pressure.
-
-    p = R·Q + p_c,  C·dp_c/dt = Q − (p_c − p_d)/R_d.  Without R_d this is the
-    resistance outlet p = R·Q + p_d.
-
-    Attributes
-    ----------
-    resistance : float or array_like, shape (n_cases,)
-        R, dyn·s/cm⁵; the proximal one of three elements.
-    distal_resistance : float or array_like, shape (n_cases,)
-        R_d, dyn·s/cm⁵.
-    capacitance : float or array_like, shape (n_cases,)
-        C, cm⁵/dyn.
-    distal_pressure : float or array_like, shape (n_cases,)
-        p_d, dyn/cm².
-    """
-
-    resistance: npt.ArrayLike
-    distal_resistance: npt.ArrayLike = 0.0
-    capacitance: npt.ArrayLike = 0.0
-    distal_pressure: npt.ArrayLike = 0.0
-
-
-@dataclass(frozen=True)
-class Tube1D:
-    """The one-dimensional solver and its settings.
+class Tube1D(TubeSettings):
+    """One-dimensional solver with its settings.
 
     Attributes
     ----------
     wall : LinearWall or OlufsenWall
-        The wall law; the paper's artery, undeformed at zero pressure.
+        Wall law; the paper's artery, undeformed at zero pressure, by default.
     stenosis_loss : {'paper', 'effective_length', 'none'}
         Seeley–Young pressure drop in each stenosis, spread over its length as the
         narrowing is, where it replaces the wall friction.  ``'paper'`` puts L_s into K_v,
@@ -120,7 +86,7 @@ class Tube1D:
     profile_exponent : float
         ζ of the velocity profile; 2 is the parabola.
     n_times : int
-        Instants recorded per cycle.
+        Recorded time points per cycle.
     steps : int
         Time steps per cycle, a multiple of ``n_times``.
     cycles : int
@@ -133,69 +99,10 @@ class Tube1D:
 
     Examples
     --------
-    >>> from pcnde_bridge.hemodynamics.solver import Tube1D, Windkessel
-    >>> from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-    >>> from pcnde_bridge.hemodynamics.waveform import coronary
+    >>> from pcnde_bridge.hemodynamics import Stenosis, Tube1D, Vessel, Windkessel, coronary
     >>> vessels = [Vessel(), Vessel((Stenosis(0.7),))]
     >>> cases = Tube1D().simulate(vessels, [coronary()] * 2, Windkessel(1e5))  # doctest: +SKIP
     """
-
-    wall: LinearWall | OlufsenWall = field(default_factory=LinearWall)
-    stenosis_loss: StenosisLoss = "paper"
-    turbulent_coefficient: float = 1.52
-    density: float = 1.06
-    viscosity: float = 0.04
-    profile_exponent: float = 2.0
-    n_times: int = 100
-    steps: int = 500
-    cycles: int = 3
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.wall, LinearWall | OlufsenWall):
-            raise InputError(f"Tube1D.wall must be a wall law, got {self.wall!r}.")
-        if self.stenosis_loss not in ("none", "paper", "effective_length"):
-            raise InputError(
-                "Tube1D.stenosis_loss must be 'none', 'paper' or 'effective_length', "
-                f"got {self.stenosis_loss!r}."
-            )
-        for name, unit in (("density", "g/cm³"), ("viscosity", "poise"), ("profile_exponent", "")):
-            value = positive(f"Tube1D.{name}", getattr(self, name), unit)
-            object.__setattr__(self, name, value)
-        coefficient = finite("Tube1D.turbulent_coefficient", self.turbulent_coefficient)
-        object.__setattr__(self, "turbulent_coefficient", coefficient)
-        if coefficient < 0.0:
-            raise InputError(
-                "Tube1D.turbulent_coefficient must not be negative, "
-                f"got {self.turbulent_coefficient!r}."
-            )
-        for name, least in (("n_times", 4), ("steps", 1), ("cycles", 1)):
-            number = whole(f"Tube1D.{name}", getattr(self, name), least)
-            object.__setattr__(self, name, number)
-        if self.steps % self.n_times:
-            raise InputError(
-                f"Tube1D.steps = {self.steps} is not a multiple of n_times = {self.n_times}, "
-                "so that the instants recorded would fall between steps."
-            )
-
-    @property
-    def kinematic_viscosity(self) -> float:
-        """ν = μ/ρ, cm²/s."""
-        return self.viscosity / self.density
-
-    @property
-    def delta(self) -> float:
-        """δ of the momentum equation."""
-        return 1.0 / (1.0 + self.profile_exponent)
-
-    @property
-    def friction(self) -> float:
-        """N of the momentum equation, cm²/s."""
-        return -2.0 * math.pi * self.kinematic_viscosity * (self.profile_exponent + 2.0)
-
-    @property
-    def friction_ratio(self) -> float:
-        """Friction over that of the parabola, (ζ + 2)/4."""
-        return (self.profile_exponent + 2.0) / 4.0
 
     def simulate(
         self,
@@ -205,20 +112,20 @@ class Tube1D:
         *,
         n_points: int = 101,
         initial_pressure: float | None = None,
-        labels: pd.DataFrame | Mapping[str, Any] | None = None,
+        labels: Labels = None,
     ) -> Cases:
-        """Solve idealised vessels, each with its waveform.
+        """Solve idealized vessels, each with its waveform.
 
         Parameters
         ----------
         vessels : sequence of Vessel, n_cases
-            All of the same length.
+            Vessels of the same length.
         waveforms : sequence of Waveform, n_cases
-            All of the same period.
+            Inlet flows of the same period.
         outlet, initial_pressure, labels
-            See :meth:`solve`; the label ``blockage`` is the vessel's by default, and
-            without labels a pair of vessel and waveform that comes again, at another
-            outlet, is another geometry.
+            See :meth:`solve`.  The label ``blockage`` is the vessel's by default.  Without
+            labels, a pair of vessel and waveform that is repeated, at another outlet, is
+            another geometry.
         n_points : int
             Points along the vessel.
 
@@ -235,7 +142,7 @@ class Tube1D:
             If a case diverges.
         """
         return self._run(
-            check_vessels(self, vessels, waveforms, outlet, n_points, initial_pressure, labels)
+            discretize_vessels(self, vessels, waveforms, outlet, n_points, initial_pressure, labels)
         )
 
     def solve(
@@ -247,7 +154,7 @@ class Tube1D:
         *,
         stenoses: Sequence[Sequence[Stenosis]] | None = None,
         initial_pressure: float | None = None,
-        labels: pd.DataFrame | Mapping[str, Any] | None = None,
+        labels: Labels = None,
     ) -> Cases:
         """Solve vessels given by their undeformed area.
 
@@ -262,12 +169,12 @@ class Tube1D:
         area_undeformed : array_like, shape (n_cases, n_points)
             S_u, cm².
         waveforms : sequence of Waveform, n_cases
-            Inlet flows, all of the same period.
+            Inlet flows of the same period.
         outlet : Windkessel
-            Common to all cases, or with one value per case.
+            Outlet common to all cases, or with one value per case.
         stenoses : sequence of sequences of Stenosis, n_cases
-            Where the Seeley–Young drop acts; none by default.  Position, length and
-            blockage are used; S_D is S_u at the last point before it.
+            Stenoses in which the Seeley–Young drop acts; none by default.  Position, length
+            and blockage are used; S_D is S_u at the last point before the stenosis.
         initial_pressure : float, optional
             Pressure at rest, in the vessel and in the Windkessel's capacitor,
             dyn/cm².  By default the wall's reference pressure, so that S = S_u.
@@ -277,13 +184,13 @@ class Tube1D:
         Returns
         -------
         Cases
-            The last cycle, ``n_times`` instants from t = 0 and the points z, with
-            two more labels: ``periodicity``, the largest of the relative changes
-            ‖last − previous cycle‖/‖last cycle‖ of flow, area and pressure, over
-            1 − exp(−T/τ) (NaN with one cycle), and ``volume_balance``, the change of
-            volume in the last cycle less what flowed in and out, over the volume.
+            The last cycle at ``n_times`` time points from t = 0 and the points z, with
+            two more labels.  ``periodicity`` is the largest of the relative changes
+            ‖last − previous cycle‖/‖last cycle‖ of flow, area and pressure, divided by
+            1 − exp(−T/τ) (NaN with one cycle).  ``volume_balance`` is the change of
+            volume in the last cycle minus the net inflow, divided by the volume.
             With τ = R_d·C + (R + R_d)·∫dS/dp dz, in which Windkessel and vessel
-            fill, ``periodicity`` is how far the cycles still are from the periodic one.
+            fill, ``periodicity`` is the distance of the cycles to the periodic one.
 
         Raises
         ------
@@ -293,38 +200,33 @@ class Tube1D:
             If a case diverges; names the case, the time and the place.
         """
         return self._run(
-            check(self, z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels)
+            discretize(
+                self, z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
+            )
         )
 
     def _run(self, problem: Problem) -> Cases:
         with double_precision():
-            last, previous, volume_balance = run(self, problem)
-        periodicity = _periodicity(last, previous) / self._settling(problem, last)
+            from pcnde_bridge.hemodynamics.tr_bdf2 import run
+
+            last, previous, volume_balance = run(self.wall, problem, self.cycles)
+        periodicity = _periodicity(last, previous) / self._settling(problem, last[1])
         _report(periodicity, volume_balance)
         flow, area, pressure = last
-        table = problem.labels.assign(periodicity=periodicity, volume_balance=volume_balance)
-        return Cases(
-            flow,
-            area,
-            pressure,
-            problem.area_undeformed,
-            np.arange(self.n_times) * (problem.period / self.n_times),
-            problem.z,
-            period=problem.period,
-            labels=table,
-        )
+        time = np.arange(self.n_times) * (problem.period / self.n_times)
+        labels = problem.labels.assign(periodicity=periodicity, volume_balance=volume_balance)
+        z, period, s_u = problem.z, problem.period, problem.area_undeformed
+        return Cases(flow, area, pressure, s_u, time, z, period=period, labels=labels)
 
-    def _settling(self, problem: Problem, last: list[Array]) -> Array:
-        """Share of its distance to the periodic state that a cycle covers, (case,)."""
-        proximal, distal, delay, _ = problem.outlet
-        area_undeformed = problem.area_undeformed
-        slope = self.wall.pressure_slope(last[1].mean(axis=1), area_undeformed)
+    def _settling(self, problem: Problem, area: Array) -> Array:
+        """Fraction of its distance to the periodic state that a cycle covers, (case,)."""
+        proximal, distal, delay, _ = problem.tube.outlet
+        slope = self.wall.pressure_slope(area.mean(axis=1), problem.area_undeformed)
         compliance = (1.0 / slope).mean(axis=1) * (problem.z[-1] - problem.z[0])
         # The sum of both times is an upper bound of the slower of two that are coupled.
         slowest = delay + (proximal + distal) * compliance
         with np.errstate(divide="ignore"):
-            share: Array = -np.expm1(-problem.period / slowest)
-        return share
+            return np.asarray(-np.expm1(-problem.period / slowest))
 
     def solve_like(
         self,
@@ -336,32 +238,32 @@ class Tube1D:
     ) -> Cases:
         """Solve the cases of a data set: the 1D baseline of the paper's table.
 
-        Inlet flow and undeformed area are the data's.  For the paper's own wall law
+        Inlet flow and undeformed area are those of the data.  For the paper's own wall law
         give the solver ``LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)``.
-        The column "1D FEM" of the paper's table comes out with three quarters of its
+        The column "1D FEM" of the paper's table is reproduced with three quarters of its
         Young modulus: svOneDSolver's linear wall takes 4/3·E·h/r₀ as one number, and
         E·h/r₀ seems to have been given.
 
         Parameters
         ----------
         cases : Cases
-            Data, of the solver's ``n_times`` instants per cycle from t = 0.
+            Data with the solver's ``n_times`` time points per cycle from t = 0.
         outlet : Windkessel, optional
             By default the resistance that fits the data best, see
-            :func:`outlet_resistance`.
+            :func:`~pcnde_bridge.hemodynamics.outlet.outlet_resistance`.
         stenosis_length : float
             L_s of the Seeley–Young drop, cm.  Its throat is where S_u is smallest
-            against a vessel that tapers evenly, S_u = a·exp(b·z), from end to end,
-            as far as the stenosis fits in; a vessel that is nowhere 1 % narrower
-            than that has none.
+            relative to a vessel that tapers evenly, S_u = a·exp(b·z), from end to end,
+            if the stenosis fits there.  A vessel that is nowhere 1 % narrower
+            than that has no stenosis.
         initial_pressure : float, optional
             See :meth:`solve`.
 
         Returns
         -------
         Cases
-            On the data's instants and points, with its labels and two more, see
-            :meth:`solve`.
+            Result at the time points and points of the data, with their labels and two
+            more, see :meth:`solve`.
 
         Raises
         ------
@@ -372,12 +274,14 @@ class Tube1D:
         """
         if cases.n_times != self.n_times:
             raise InputError(
-                f"The data have {cases.n_times} instants per cycle, the solver {self.n_times}; "
+                f"The data have {cases.n_times} time points per cycle, the solver {self.n_times}; "
                 f"use Tube1D(n_times={cases.n_times}, steps={10 * cases.n_times})."
             )
         if abs(float(cases.time[0])) > 1e-9 * cases.period:
-            raise InputError(f"The data's cycle starts at {cases.time[0]:g} s, not at 0; shift it.")
-        labels = cases.labels.drop(columns=["periodicity", "volume_balance"], errors="ignore")
+            raise InputError(
+                f"The time of the data starts at {cases.time[0]:g} s; it must start at 0 s: "
+                "subtract the first value."
+            )
         return self.solve(
             cases.z,
             cases.area_undeformed,
@@ -385,22 +289,19 @@ class Tube1D:
             outlet or Windkessel(outlet_resistance(cases)),
             stenoses=[_find_stenosis(cases.z, s, stenosis_length) for s in cases.area_undeformed],
             initial_pressure=initial_pressure,
-            labels=labels,
+            labels=cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore"),
         )
 
 
-def outlet_resistance(cases: Cases) -> float:
-    """Resistance R, dyn·s/cm⁵, that fits p = R·Q at the outlet of all cases best.
-
-    Raises
-    ------
-    InputError
-        If nothing flows out, or against the pressure.
-    """
-    flow, pressure = cases.flow[:, :, -1].ravel(), cases.pressure[:, :, -1].ravel()
-    if not flow @ pressure > 0.0:
-        raise InputError("The data's outlet flow and pressure give no resistance; give an outlet.")
-    return float(flow @ pressure / (flow @ flow))
+@contextmanager
+def warnings_only() -> Iterator[None]:
+    """Suppress the solver's log line for every case; its warnings remain."""
+    level = _log.level
+    _log.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        _log.setLevel(level)
 
 
 def _find_stenosis(z: Array, area_undeformed: Array, length: float) -> tuple[Stenosis, ...]:
@@ -423,14 +324,10 @@ def _periodicity(last: list[Array], previous: list[Array] | None) -> Array:
         return np.full(len(last[0]), np.nan)
 
     def norm(y: Array) -> Array:
-        length: Array = np.sqrt((y**2).sum(axis=(1, 2)))
-        return length
+        return np.asarray(np.sqrt((y**2).sum(axis=(1, 2))))
 
-    changes = [
-        norm(a - b) / np.maximum(norm(a), 1e-300) for a, b in zip(last, previous, strict=True)
-    ]
-    worst: Array = np.max(changes, axis=0)
-    return worst
+    pairs = zip(last, previous, strict=True)
+    return np.asarray(np.max([norm(a - b) / np.maximum(norm(a), 1e-300) for a, b in pairs], axis=0))
 
 
 def _report(periodicity: Array, volume_balance: Array) -> None:

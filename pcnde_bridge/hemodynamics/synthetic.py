@@ -1,9 +1,9 @@
-"""A data set of our own: the paper's matrix of cases, computed by the 1D solver.
+"""Synthetic data set: the paper's matrix of cases, computed by the 1D solver.
 
-It takes the place of 3D simulations where there are none: 10 geometries (blockage
-40 … 85 %) under 10 waveforms, solved by :mod:`pcnde_bridge.hemodynamics.solver` with the
-pressure drop of Seeley and Young in the stenosis, and kept on the disk.  What a
-model shows on it says how well it learns, not how well a 1D model meets 3D flow.
+It replaces 3D simulations where there are none: 10 geometries (blockage 40 … 85 %)
+under 10 waveforms, solved by :mod:`pcnde_bridge.hemodynamics.solver` with the pressure
+drop of Seeley and Young in the stenosis, and cached on disk.  A model's errors on it
+show how well the model learns, not how well a 1D model represents 3D flow.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,14 +23,11 @@ from pcnde_bridge._utils.cache import cache_folder
 from pcnde_bridge._utils.validation import real_array, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.hemodynamics.discretisation import check_vessels
+from pcnde_bridge.hemodynamics.discretization import discretize_vessels
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.solver import Tube1D, Windkessel
-from pcnde_bridge.hemodynamics.waveform import (
-    DATA_FACTORS,
-    Waveform,
-    coronary,
-)
+from pcnde_bridge.hemodynamics.outlet import Windkessel
+from pcnde_bridge.hemodynamics.solver import Tube1D, warnings_only
+from pcnde_bridge.hemodynamics.waveform import DATA_FACTORS, Waveform, coronary
 
 BLOCKAGES = (0.40, 0.85)
 """Smallest and largest blockage, a fraction of area."""
@@ -41,9 +36,9 @@ OUTLET_RESISTANCE = 109_236.9
 """R at the outlet, dyn·s/cm⁵, without distal pressure, as in the paper's 3D data."""
 
 DATA_VERSION = 1
-"""To be raised with every change of the recipe or the solver that changes the numbers."""
+"""Version of the numbers, to be raised when a change here or in the solver changes them."""
 
-# Spread of the waveforms that seeds draw, relative to the built-in one.
+# Spread of the waveforms of the seeds, relative to the built-in one.
 _MEAN_SPREAD, _HARMONIC_SPREAD, _PHASE_SPREAD = 0.05, 0.15, 0.15
 
 _log = logging.getLogger("pcnde_bridge")
@@ -60,7 +55,7 @@ def synthetic(
     cache: str | os.PathLike[str] | bool | None = None,
     progress: bool = True,
 ) -> Cases:
-    """Compute, or take from the cache, the synthetic data set.
+    """Compute the synthetic data set, or read it from the cache.
 
     Every geometry is solved under every waveform, from rest, with the paper's
     artery (4 cm long, 0.4 cm wide, linear wall, resistance outlet).  The last
@@ -72,26 +67,26 @@ def synthetic(
         Geometries 1 … n, their blockages equally spaced from 40 to 85 % of the
         area; a single one has 40 %.
     n_waveforms : int
-        Waveforms 0 … n − 1, one base waveform with its oscillation scaled.  Ten
-        take the factors of the paper's data, another number equally spaced
+        Waveforms 0 … n − 1: one base waveform with its oscillation scaled.  Ten
+        have the factors of the paper's data, another number equally spaced
         factors from −0.5 to 1.75, and a single one the factor 1.
     seed : int
-        0 takes :func:`~pcnde_bridge.hemodynamics.waveform.coronary` as the base.  Any other
-        draws a variation of it, another patient: its mean is changed by 5 %
+        With 0 the base is :func:`~pcnde_bridge.hemodynamics.waveform.coronary`.  Any other
+        seed gives a variation of it, another patient: its mean is changed by 5 %
         (standard deviation), each of its harmonics by 15 % in amplitude and by
         0.15 rad in phase.
     stenosis_positions : sequence of float
         Throats of the stenoses, cm; all stenoses of a vessel have its blockage.
-        None leaves the vessel healthy, which makes a single geometry.
+        Without positions the vessel is healthy, and there is a single geometry.
     n_points : int
         Points along the vessel.
     tube : Tube1D, optional
-        The solver; by default 100 instants per cycle, three cycles, and the
-        Seeley–Young drop as the paper prints it.
+        The solver; by default 100 time points per cycle, three cycles, and the
+        Seeley–Young drop as printed in the paper.
     cache : path-like or False, optional
-        Folder that keeps the result; by default the one that
-        :func:`~pcnde_bridge.download_published` uses.  False computes anew and
-        keeps nothing.
+        Folder of the cached result; by default the one that
+        :func:`~pcnde_bridge.download_published` uses.  False computes the cases again
+        and caches nothing.
     progress : bool
         Show progress on standard error while computing.
 
@@ -128,31 +123,27 @@ def synthetic(
             f"Without a stenosis all {n_geometries} geometries are the same; use n_geometries=1."
         )
     solver = Tube1D() if tube is None else tube
-    blockages = np.linspace(*BLOCKAGES, n_geometries).round(12)
+    blockages = np.linspace(*BLOCKAGES, n_geometries).round(12).tolist()
     vessels = [
-        Vessel(tuple(Stenosis(float(blockage), position) for position in positions.tolist()))
+        Vessel(tuple(Stenosis(blockage, position) for position in positions.tolist()))
         for blockage in blockages
     ]
     factors = _factors(n_waveforms)
     waveforms = base_waveform(seed).family(factors)
-
-    path = None
-    if cache is not False:
-        recipe = _recipe(vessels, waveforms, n_points, solver)
-        key = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
-        folder = cache_folder(None if cache is True else cache) / "synthetic"
-        path = folder / f"{n_geometries}x{n_waveforms}-seed{seed}-{key[:16]}.npz"
-        kept = _read(path)
-        if kept is not None:
-            return kept
-    cases = _solve(solver, vessels, waveforms, factors, n_points, progress)
-    if path is not None:
+    if cache is False:
+        return _solve(solver, vessels, waveforms, factors, n_points, progress)
+    key = _key(vessels, waveforms, n_points, solver)
+    folder = cache_folder(None if cache is True else cache) / "synthetic"
+    path = folder / f"{n_geometries}x{n_waveforms}-seed{seed}-{key}.npz"
+    cases = _read(path)
+    if cases is None:
+        cases = _solve(solver, vessels, waveforms, factors, n_points, progress)
         _write(path, cases)
     return cases
 
 
 def base_waveform(seed: int) -> Waveform:
-    """Waveform at the inlet that all waveforms of a seed are scaled from.
+    """Return the inlet waveform from which all waveforms of a seed are scaled.
 
     Parameters
     ----------
@@ -167,10 +158,7 @@ def base_waveform(seed: int) -> Waveform:
     amplitude = np.exp(_HARMONIC_SPREAD * rng.standard_normal(base.n_terms))
     phase = _PHASE_SPREAD * rng.standard_normal(base.n_terms)
     harmonics = (np.array(base.cosine) - 1j * np.array(base.sine)) * amplitude
-    harmonics = harmonics * np.exp(1j * phase)
-    return Waveform(
-        mean, tuple(harmonics.real.tolist()), tuple((-harmonics.imag).tolist()), base.period
-    )
+    return Waveform.from_spectrum(mean, harmonics * np.exp(1j * phase), base.period)
 
 
 def _factors(count: int) -> tuple[float, ...]:
@@ -182,11 +170,11 @@ def _factors(count: int) -> tuple[float, ...]:
     return tuple(factors.round(12).tolist())
 
 
-def _recipe(
+def _key(
     vessels: Sequence[Vessel], waveforms: Sequence[Waveform], n_points: int, tube: Tube1D
-) -> dict[str, Any]:
-    """Everything that the numbers depend on."""
-    return {
+) -> str:
+    """Checksum of everything that the numbers depend on."""
+    content = {
         "version": DATA_VERSION,
         "vessels": [dataclasses.asdict(vessel) for vessel in vessels],
         "waveforms": [dataclasses.asdict(waveform) for waveform in waveforms],
@@ -195,6 +183,7 @@ def _recipe(
         "wall": type(tube.wall).__name__,
         "tube": dataclasses.asdict(tube),
     }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _solve(
@@ -209,34 +198,28 @@ def _solve(
     from rich.console import Console
     from rich.progress import track
 
-    def batch(number: int, vessel: Vessel) -> dict[str, Any]:
-        labels = {
-            "geometry": [number] * len(waveforms),
-            "waveform": range(len(waveforms)),
-            "blockage": [vessel.blockage] * len(waveforms),
-            "factor": factors,
-        }
-        return {
-            "vessels": [vessel] * len(waveforms),
-            "waveforms": waveforms,
-            "outlet": Windkessel(OUTLET_RESISTANCE),
-            "n_points": n_points,
-            "labels": pd.DataFrame(labels),
-        }
-
-    batches = [batch(number, vessel) for number, vessel in enumerate(vessels, start=1)]
-    for arguments in batches:  # all of them before anything is computed
-        check_vessels(tube, **arguments)
-    parts = []
-    with fewer_words():
-        for arguments in track(
-            batches,
-            f"Computing {len(vessels) * len(waveforms)} cases",
-            console=Console(stderr=True),
-            disable=not progress,
-        ):
-            parts.append(tube.simulate(**arguments))
-    cases = _joined(parts)
+    outlet, n = Windkessel(OUTLET_RESISTANCE), len(waveforms)
+    labels = [
+        pd.DataFrame(
+            {
+                "geometry": number,
+                "waveform": range(n),
+                "blockage": vessel.blockage,
+                "factor": factors,
+            }
+        )
+        for number, vessel in enumerate(vessels, start=1)
+    ]
+    batches = list(zip(vessels, labels, strict=True))
+    for vessel, table in batches:  # all of them before anything is computed
+        discretize_vessels(tube, [vessel] * n, waveforms, outlet, n_points, labels=table)
+    description, console = f"Computing {len(vessels) * n} cases", Console(stderr=True)
+    with warnings_only():
+        parts = [
+            tube.simulate([vessel] * n, waveforms, outlet, n_points=n_points, labels=table)
+            for vessel, table in track(batches, description, console=console, disable=not progress)
+        ]
+    cases = _concatenate(parts)
     _log.info(
         "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst.",
         len(cases),
@@ -246,43 +229,24 @@ def _solve(
     return cases
 
 
-def _joined(parts: Sequence[Cases]) -> Cases:
-    def together(name: str) -> Any:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    first = parts[0]
-    return Cases(
-        together("flow"),
-        together("area"),
-        together("pressure"),
-        together("area_undeformed"),
-        first.time,
-        first.z,
-        period=first.period,
-        labels=pd.concat([part.labels for part in parts], ignore_index=True),
+def _concatenate(parts: Sequence[Cases]) -> Cases:
+    flow, area, pressure, area_undeformed = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("flow", "area", "pressure", "area_undeformed")
     )
-
-
-@contextmanager
-def fewer_words() -> Iterator[None]:
-    """Without the solver's line for every case; its warnings stay."""
-    logger = logging.getLogger("pcnde_bridge.hemodynamics.solver")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
+    labels = pd.concat([part.labels for part in parts], ignore_index=True)
+    time, z, period = parts[0].time, parts[0].z, parts[0].period
+    return Cases(flow, area, pressure, area_undeformed, time, z, period=period, labels=labels)
 
 
 def _read(path: Path) -> Cases | None:
-    """Cases in the cache, or None when they are not there or damaged."""
+    """Return the cached cases, or None if they are not there or damaged."""
     if not path.is_file():
         return None
     try:
         return Cases.load(path)
     except FileError as error:
-        _log.warning("The cache is of no use, so the cases are computed again: %s.", error)
+        _log.warning("The cached cases cannot be read and are computed again: %s.", error)
         return None
 
 
@@ -290,7 +254,5 @@ def _write(path: Path, cases: Cases) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         cases.save(path)
-    except OSError as error:
-        _log.warning("The cases are not kept in the cache: %s.", error)
-    except FileError as error:
-        _log.warning("The cases are not kept in the cache: %s.", error)
+    except (OSError, FileError) as error:
+        _log.warning("The cases could not be stored in the cache: %s.", error)

@@ -1,4 +1,4 @@
-"""Wall laws: pressure p from area S and undeformed area S_u, and back.
+"""Wall laws: pressure p from area S and undeformed area S_u, and the inverse.
 
 The two laws of the paper's section 2.1 (Olufsen 1999; Pfaller et al. 2022):
 
@@ -36,14 +36,12 @@ _UNITS = {
 
 
 def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
-    """Pulse wave speed c = √(S/ρ · dp/dS), cm/s.
+    """Return the pulse wave speed c = √(S/ρ · dp/dS), cm/s.
 
     Parameters
     ----------
-    area : array, shape (...)
-        S, cm².
-    pressure_slope : array, shape (...)
-        dp/dS, dyn/cm⁴.
+    area, pressure_slope : array, shape (...)
+        S (cm²) and dp/dS (dyn/cm⁴).
     density : float
         ρ, g/cm³.
     """
@@ -52,7 +50,7 @@ def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
 
 @dataclass(frozen=True)
 class LinearWall:
-    """Linear wall law; the default is the paper's artery, undeformed at zero pressure.
+    """Linear elastic wall; the default is the paper's artery, undeformed at zero pressure.
 
     Attributes
     ----------
@@ -81,26 +79,29 @@ class LinearWall:
         return 4.0 / 3.0 * self.young_modulus * self.thickness / self.radius
 
     def pressure(self, area: Any, area_undeformed: Any) -> Any:
-        """Pressure p(S), dyn/cm², from S > 0 and S_u, cm², of shapes that broadcast."""
+        """Return the pressure p(S), dyn/cm², of areas S > 0 and S_u, cm², that broadcast."""
         return self.reference_pressure + self.stiffness * ((area / area_undeformed) ** 0.5 - 1.0)
 
     def area(self, pressure: Any, area_undeformed: Any) -> Any:
-        """Area S(p), cm²; the law ends (S = 0) at p = p₀ − 4/3·E·h/r₀, beyond it S < 0."""
+        """Return the area S(p), cm².
+
+        The law ends with S = 0 at p = p₀ − 4/3·E·h/r₀; below it S < 0.
+        """
         strain = (pressure - self.reference_pressure) / self.stiffness
         return area_undeformed * _signed_square(1.0 + strain)
 
     def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
-        """Slope dp/dS, dyn/cm⁴."""
+        """Return the slope dp/dS, dyn/cm⁴."""
         return 0.5 * self.stiffness / (area * area_undeformed) ** 0.5
 
     def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
-        """Pulse wave speed √(S/ρ · dp/dS), cm/s."""
+        """Return the pulse wave speed √(S/ρ · dp/dS), cm/s."""
         return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
 
 
 @dataclass(frozen=True)
 class OlufsenWall:
-    """Olufsen's wall law: stiffness falls with radius, and strain stiffens it.
+    """Olufsen's wall law: stiffness decreases with the radius and increases with strain.
 
     The default coefficients are those fitted by Olufsen (1999).
 
@@ -132,35 +133,42 @@ class OlufsenWall:
             )
 
     def stiffness(self, area_undeformed: Any) -> Any:
-        """4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
+        """Return 4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
         radius = (area_undeformed / math.pi) ** 0.5
         return 4.0 / 3.0 * (self.k1 * math.e ** (self.k2 * radius) + self.k3)
 
     def pressure(self, area: Any, area_undeformed: Any) -> Any:
-        """Pressure p(S), dyn/cm², from S > 0 and S_u, cm², of shapes that broadcast."""
+        """Return the pressure p(S), dyn/cm², of areas S > 0 and S_u, cm², that broadcast."""
         strain = 1.0 - (area_undeformed / area) ** 0.5
         return self.reference_pressure + self.stiffness(area_undeformed) * strain
 
     def area(self, pressure: Any, area_undeformed: Any) -> Any:
-        """Area S(p), cm²; the law ends (S = ∞) at p = p₀ + 4/3·(k₁·exp(k₂·r₀) + k₃), then S < 0."""
+        """Return the area S(p), cm².
+
+        The law ends with S = ∞ at p = p₀ + 4/3·(k₁·exp(k₂·r₀) + k₃); above it S < 0.
+        """
         strain = (pressure - self.reference_pressure) / self.stiffness(area_undeformed)
         return area_undeformed / _signed_square(1.0 - strain)
 
     def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
-        """Slope dp/dS, dyn/cm⁴."""
+        """Return the slope dp/dS, dyn/cm⁴."""
         return 0.5 * self.stiffness(area_undeformed) * (area_undeformed / area) ** 0.5 / area
 
     def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
-        """Pulse wave speed √(S/ρ · dp/dS), cm/s."""
+        """Return the pulse wave speed √(S/ρ · dp/dS), cm/s."""
         return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
 
 
+Wall = LinearWall | OlufsenWall
+"""A wall law."""
+
+
 def _signed_square(root: Any) -> Any:
-    """Square that keeps the sign, so that no pressure beyond a law's end passes for one within."""
+    """Square with the sign of its argument: pressures beyond a law's end give S < 0."""
     return root * abs(root)
 
 
-def _check(wall: LinearWall | OlufsenWall, above_zero: tuple[str, ...]) -> None:
+def _check(wall: Wall, above_zero: tuple[str, ...]) -> None:
     for name, value in list(vars(wall).items()):
         check = positive if name in above_zero else finite
         number = check(f"{type(wall).__name__}.{name}", value, _UNITS[name])

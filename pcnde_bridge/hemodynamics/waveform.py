@@ -1,12 +1,12 @@
-"""Inlet flow waveforms, and the family that one waveform spans.
+"""Inlet flow waveforms, and the family of scaled waveforms of each.
 
 A waveform is a truncated Fourier series of period T (the paper's section 2.5),
 
     Q_in(t) = A₀ + Σₙ (Aₙ·cos(2πnt/T) + Bₙ·sin(2πnt/T)),   n = 1 … N.
 
-The paper makes further waveforms with a factor c, printed before Aₙ alone; its
-published data scale Aₙ and Bₙ together.  Both forms are here, see
-:meth:`Waveform.scaled`.  Units are CGS: mL/s, s.
+The paper scales waveforms by a factor c, printed before Aₙ alone; its published
+data scale Aₙ and Bₙ together.  :meth:`Waveform.scaled` has both forms.  Units are
+CGS: mL/s, s.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import (
-    finite,
-    positive,
-    real_array,
-    whole,
-)
+from pcnde_bridge._utils.validation import finite, finite_array, positive, whole
 from pcnde_bridge.errors import InputError
 
 Form = Literal["oscillation", "printed"]
@@ -33,8 +28,8 @@ Form = Literal["oscillation", "printed"]
 DATA_FACTORS = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.375, 1.5, 1.75)
 """Factors of the oscillation measured on the paper's data, waveforms 0 … 9."""
 
-# Our own drawing of a left coronary waveform, mL/s at 20 instants of a cycle of
-# 1 s from the onset of systole: low while the heart muscle squeezes the vessels
+# A left coronary waveform drawn for this package, mL/s at 20 time points of a cycle
+# of 1 s from the onset of systole: low while the heart muscle compresses the vessels
 # (first row), highest early in diastole (second row).  Nine harmonics, like the
 # paper's data.
 # fmt: off
@@ -48,7 +43,7 @@ _CORONARY_TERMS = 9
 
 @dataclass(frozen=True)
 class Waveform:
-    """Periodic flow at the inlet, as Fourier coefficients.
+    """Periodic flow at the inlet, given by its Fourier coefficients.
 
     Attributes
     ----------
@@ -82,7 +77,7 @@ class Waveform:
         object.__setattr__(self, "mean", finite("Waveform.mean", self.mean, "mL/s"))
         object.__setattr__(self, "period", positive("Waveform.period", self.period, "s"))
         for name in ("cosine", "sine"):
-            values = _finite(f"Waveform.{name}", getattr(self, name))
+            values = _finite_vector(f"Waveform.{name}", getattr(self, name))
             object.__setattr__(self, name, tuple(values.tolist()))
         if len(self.cosine) != len(self.sine):
             raise InputError(
@@ -92,37 +87,28 @@ class Waveform:
 
     @property
     def n_terms(self) -> int:
-        """N, number of harmonics."""
+        """Number of harmonics N."""
         return len(self.cosine)
 
     def flow(self, time: npt.ArrayLike) -> Array:
-        """Flow Q_in(t), mL/s.
+        """Return the flow Q_in(t), mL/s, shape (...).
 
         Parameters
         ----------
         time : array_like of float, shape (...)
-            s; periodic, so any value will do.
+            Any times, s; the flow is periodic.
         """
         time = np.asarray(time, dtype=np.float64)
         angle = 2.0 * np.pi / self.period * time[..., None] * np.arange(1, self.n_terms + 1)
-        flow: Array = self.mean + np.cos(angle) @ self._cosine + np.sin(angle) @ self._sine
-        return flow
-
-    @property
-    def _cosine(self) -> Array:
-        return np.array(self.cosine)
-
-    @property
-    def _sine(self) -> Array:
-        return np.array(self.sine)
+        return np.asarray(self.mean + np.cos(angle) @ self.cosine + np.sin(angle) @ self.sine)
 
     def samples(self, n_times: int = 100) -> Array:
-        """Flow at n_times equal steps of one cycle from t = 0, mL/s, shape (n_times,)."""
+        """Return the flow at n_times equal steps of a cycle from t = 0, mL/s, shape (n_times,)."""
         n_times = whole("n_times", n_times, 1)
         return self.flow(np.arange(n_times) * (self.period / n_times))
 
     def scaled(self, factor: float, form: Form = "oscillation") -> Waveform:
-        """Member of the waveform's family for the factor c; the mean is kept.
+        """Scale the oscillation by the factor c; the mean stays the same.
 
         Parameters
         ----------
@@ -141,14 +127,23 @@ class Waveform:
         factor = finite("The waveform's factor", factor)
         if form not in ("oscillation", "printed"):
             raise InputError(f"form must be 'oscillation' or 'printed', got {form!r}.")
-        sine = self._sine if form == "printed" else factor * self._sine
-        return Waveform(self.mean, tuple(factor * self._cosine), tuple(sine), self.period)
+        cosine = tuple(factor * value for value in self.cosine)
+        sine = self.sine if form == "printed" else tuple(factor * value for value in self.sine)
+        return Waveform(self.mean, cosine, sine, self.period)
 
     def family(
         self, factors: Sequence[float] = DATA_FACTORS, form: Form = "oscillation"
     ) -> tuple[Waveform, ...]:
-        """One waveform per factor, see :meth:`scaled`; the default is the data's family."""
+        """Return one waveform per factor, see :meth:`scaled`; by default the paper's family."""
         return tuple(self.scaled(factor, form) for factor in factors)
+
+    @classmethod
+    def from_spectrum(
+        cls, mean: float, harmonics: npt.NDArray[np.complex128], period: float
+    ) -> Waveform:
+        """Create a waveform from A₀, mL/s, Aₙ − i·Bₙ of shape (N,), mL/s, and the period, s."""
+        cosine, sine = harmonics.real.tolist(), (-harmonics.imag).tolist()
+        return cls(mean, tuple(cosine), tuple(sine), period)
 
     @classmethod
     def from_samples(
@@ -158,14 +153,14 @@ class Waveform:
         period: float = 1.0,
         n_terms: int | None = 60,
     ) -> Waveform:
-        """Fourier series of a measured waveform.
+        """Create the Fourier series of a measured waveform.
 
         Parameters
         ----------
         flow : array_like of float, shape (n,)
             One cycle, mL/s, at least 3 samples.
         time : array_like of float, shape (n,), optional
-            Instants, s, strictly increasing, covering at most one period; the end
+            Time points, s, strictly increasing, covering at most one period; the end
             of the cycle may be repeated.  Equal steps of period / n by default.
             Between samples in unequal steps the flow is linear, and the series is
             that of these lines.
@@ -173,43 +168,37 @@ class Waveform:
             T, s.
         n_terms : int or None
             Largest number of harmonics; 60 is the paper's.  Samples in equal steps
-            hold no more than n/2; with None all of them are taken, and the series
-            passes through every sample.  Lines have harmonics without end; with None
-            as many are taken as the shortest step fits into the period, at most 1000.
+            have no more than n/2; with None all of them are used, and the series
+            passes through every sample.  Lines have infinitely many harmonics; with
+            None the period divided by the shortest step are used, at most 1000.
 
         Raises
         ------
         InputError
-            If a value is not a finite number, shapes differ, or the instants do not
-            increase or do not fit into the period.
+            If a value is not a finite number, shapes differ, or the time points do not
+            increase or span more than the period.
         """
-        samples = _finite("flow", flow)
+        samples = _finite_vector("flow", flow)
         period = positive("period", period, "s")
         n_terms = None if n_terms is None else whole("n_terms", n_terms)
         first, steps = 0.0, None
         if time is not None:
-            samples, first, steps = _one_cycle(_finite("time", time), samples, period)
+            samples, first, steps = _one_cycle(_finite_vector("time", time), samples, period)
         if len(samples) < 3:
             raise InputError(f"A waveform needs at least 3 samples, got {len(samples)}.")
         if steps is None:
-            spectrum = _spectrum_of_equal_steps(samples)
-            spectrum = spectrum[: None if n_terms is None else n_terms + 1]
+            spectrum = _spectrum_of_equal_steps(samples)[: None if n_terms is None else n_terms + 1]
         else:
             if n_terms is None:
                 n_terms = min(math.ceil(period / steps.min()), 1000)
             spectrum = _spectrum_of_lines(samples, steps, n_terms)
-        # The series counts time from 0, the samples from the first of them.
+        # The time of the series starts at 0, that of the samples at the first of them.
         spectrum *= np.exp(-2j * np.pi * np.arange(len(spectrum)) * (first / period))
-        return cls(
-            float(spectrum[0].real),
-            tuple(spectrum[1:].real.tolist()),
-            tuple((-spectrum[1:].imag).tolist()),
-            period,
-        )
+        return cls.from_spectrum(float(spectrum[0].real), spectrum[1:], period)
 
 
 def coronary(period: float = 1.0) -> Waveform:
-    """Left coronary waveform, drawn for this package: mean 1.28 mL/s, peak in diastole.
+    """Return a left coronary waveform: mean 1.28 mL/s, peak in diastole.
 
     Parameters
     ----------
@@ -219,18 +208,15 @@ def coronary(period: float = 1.0) -> Waveform:
     return Waveform.from_samples(_CORONARY, period=period, n_terms=_CORONARY_TERMS)
 
 
-def _finite(name: str, values: npt.ArrayLike) -> Array:
-    array = real_array(name, values)
+def _finite_vector(name: str, values: npt.ArrayLike) -> Array:
+    array = finite_array(name, values)
     if array.ndim != 1:
         raise InputError(f"{name} must have one dimension, got shape {array.shape}.")
-    bad = np.flatnonzero(~np.isfinite(array))
-    if len(bad):
-        raise InputError(f"{name}[{bad[0]}] is {array[bad[0]]}; all values must be finite.")
     return array
 
 
 def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, Array | None]:
-    """Flow without a repeated end, the first instant, and the steps unless they are equal."""
+    """Flow without a repeated end, the first time point, and the steps unless they are equal."""
     if time.shape != flow.shape:
         raise InputError(f"time has {len(time)} values and flow {len(flow)}; give as many of both.")
     if len(time) < 3:
@@ -238,12 +224,12 @@ def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, A
     steps = np.diff(time)
     if (steps <= 0.0).any():
         i = int(np.argmax(steps <= 0.0)) + 1
-        raise InputError(f"time[{i}] = {time[i]:g} s is not later than the instant before it.")
+        raise InputError(f"time[{i}] = {time[i]:g} s is not later than the time point before it.")
     span = time[-1] - time[0]
     if span > period * (1.0 + 1e-9):
         raise InputError(
             f"The samples span {span:g} s, longer than the period of {period:g} s; "
-            "give one cycle, or its right period."
+            "give one cycle, or the correct period."
         )
     if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
         time, flow = time[:-1], flow[:-1]
@@ -258,14 +244,14 @@ def _spectrum_of_equal_steps(flow: Array) -> npt.NDArray[np.complex128]:
     spectrum = np.fft.rfft(flow) / len(flow)
     spectrum[1:] *= 2.0
     if len(flow) % 2 == 0:
-        spectrum[-1] /= 2.0  # the highest harmonic of an even number stands alone
+        spectrum[-1] /= 2.0  # the highest harmonic of an even number has no mirror image
     return spectrum
 
 
 def _spectrum_of_lines(flow: Array, steps: Array, n_terms: int) -> npt.NDArray[np.complex128]:
     """Aₙ − i·Bₙ, n = 0 … n_terms, of the lines that join samples in these steps from t = 0.
 
-    By parts, the integral of a line's rise over one step is that of a box.
+    Integration by parts replaces each line by its slope, a box function.
     """
     period = steps.sum()
     rise = np.roll(flow, -1) - flow

@@ -7,12 +7,9 @@ from scipy.integrate import trapezoid
 
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
+from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
-from pcnde_bridge.hemodynamics.solver import (
-    Tube1D,
-    Windkessel,
-    outlet_resistance,
-)
+from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.tube_laws import (
     PAPER_REFERENCE_PRESSURE,
     LinearWall,
@@ -397,13 +394,13 @@ def with_value(array, index, value):
             lambda: Tube1D().solve(
                 Z, AREA, WAVES, OUTLET, labels={**NUMBERS, "periodicity": [0.0, 0.0]}
             ),
-            r"'periodicity', as the solver names one",
+            r"'periodicity', which is the name of a column that the solver",
         ),
         (
             lambda: Tube1D().simulate(
                 [Vessel()] * 2, WAVES, OUTLET, labels={**NUMBERS, "volume_balance": [0, 0]}
             ),
-            r"'volume_balance', as the solver names one",
+            r"'volume_balance', which is the name of a column that the solver",
         ),
         (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel(np.nan)), r"outlet.resistance is nan"),
         (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel("1")), r"resistance must hold real"),
@@ -448,14 +445,14 @@ def with_value(array, index, value):
 )
 def test_bad_input_is_refused_before_computing(make, words, monkeypatch):
     monkeypatch.setattr(
-        "pcnde_bridge.hemodynamics.solver.run", lambda *_: pytest.fail("it computed")
+        "pcnde_bridge.hemodynamics.tr_bdf2.run", lambda *_: pytest.fail("it computed")
     )
     with pytest.raises(InputError, match=words):
         make()
 
 
 def test_data_that_do_not_suit_the_solver(small_cases):
-    with pytest.raises(InputError, match=r"20 instants per cycle, the solver 100"):
+    with pytest.raises(InputError, match=r"20 time points per cycle, the solver 100"):
         Tube1D().solve_like(small_cases)
 
 

@@ -1,0 +1,82 @@
+"""Physical and numerical settings of the 1D solver."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pcnde_bridge._utils.validation import finite, positive, whole
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.tube_laws import LinearWall, Wall
+
+StenosisLoss = Literal["none", "paper", "effective_length"]
+
+
+@dataclass(frozen=True)
+class TubeSettings:
+    """Checked settings of the 1D solver.
+
+    The attributes are those of :class:`~pcnde_bridge.hemodynamics.solver.Tube1D`.
+
+    Raises
+    ------
+    InputError
+        If a setting is not usable.
+    """
+
+    wall: Wall = field(default_factory=LinearWall)
+    stenosis_loss: StenosisLoss = "paper"
+    turbulent_coefficient: float = 1.52
+    density: float = 1.06
+    viscosity: float = 0.04
+    profile_exponent: float = 2.0
+    n_times: int = 100
+    steps: int = 500
+    cycles: int = 3
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.wall, Wall):
+            raise InputError(f"Tube1D.wall must be a wall law, got {self.wall!r}.")
+        if self.stenosis_loss not in ("none", "paper", "effective_length"):
+            raise InputError(
+                "Tube1D.stenosis_loss must be 'none', 'paper' or 'effective_length', "
+                f"got {self.stenosis_loss!r}."
+            )
+        for name, unit in (("density", "g/cm³"), ("viscosity", "poise"), ("profile_exponent", "")):
+            value = positive(f"Tube1D.{name}", getattr(self, name), unit)
+            object.__setattr__(self, name, value)
+        coefficient = finite("Tube1D.turbulent_coefficient", self.turbulent_coefficient)
+        object.__setattr__(self, "turbulent_coefficient", coefficient)
+        if coefficient < 0.0:
+            raise InputError(
+                f"Tube1D.turbulent_coefficient must not be negative, got {coefficient!r}."
+            )
+        for name, least in (("n_times", 4), ("steps", 1), ("cycles", 1)):
+            number = whole(f"Tube1D.{name}", getattr(self, name), least)
+            object.__setattr__(self, name, number)
+        if self.steps % self.n_times:
+            raise InputError(
+                f"Tube1D.steps = {self.steps} is not a multiple of n_times = {self.n_times}, "
+                "so that the recorded time points would fall between steps."
+            )
+
+    @property
+    def kinematic_viscosity(self) -> float:
+        """ν = μ/ρ, cm²/s."""
+        return self.viscosity / self.density
+
+    @property
+    def delta(self) -> float:
+        """δ = 1/(1 + ζ) of the momentum equation."""
+        return 1.0 / (1.0 + self.profile_exponent)
+
+    @property
+    def friction(self) -> float:
+        """N = −2πν(ζ + 2) of the momentum equation, cm²/s."""
+        return -2.0 * math.pi * self.kinematic_viscosity * (self.profile_exponent + 2.0)
+
+    @property
+    def friction_ratio(self) -> float:
+        """Friction relative to that of the parabolic profile, (ζ + 2)/4."""
+        return (self.profile_exponent + 2.0) / 4.0
