@@ -292,8 +292,8 @@ def test_evaluate_refuses(folder, tmp_path, run, small_cases):
         assert (code, printed) == (2, "")
         return err
 
-    assert "There is no model at" in refused(tmp_path / "nowhere", cases)
-    assert "is a folder, not a model" in refused(tmp_path, cases)
+    assert "There is no file" in refused(tmp_path / "nowhere", cases)
+    assert "is a folder, not a pcnde_bridge model" in refused(tmp_path, cases)
     assert "not a pcnde_bridge model" in refused(cases, cases)
     assert "nowhere" in refused(model, tmp_path / "nowhere")
     assert "model.pcnde" in refused(model, model)
@@ -395,7 +395,7 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
 
     assert "must end in .csv" in refused(out="result.txt")
     assert "must end in .csv" in refused(out="result")
-    assert "There is no model at" in refused(model="nowhere")
+    assert "There is no file" in refused(model="nowhere")
     assert "Cannot read a table" in refused(inflow="nowhere.csv")
     assert "must have the columns time" in refused(inflow="area.csv")
     assert "must have the columns z" in refused(area="inflow.csv")

@@ -142,7 +142,7 @@ def test_unusable_folders(demo, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="is a file"):
         demo(tmp_path / "file")
-    with pytest.raises(FileError, match="Cannot make the folder"):
+    with pytest.raises(FileError, match="Cannot create the folder"):
         demo(tmp_path / "file" / "below")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "model.npz").write_text("mine")

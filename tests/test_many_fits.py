@@ -230,7 +230,7 @@ def test_save_and_load(small_cases, ensemble, engine, tmp_path):
     ):
         with pytest.raises(FileError, match=f"{message}.*load_model reads either"):
             load(other, engine)
-    with pytest.raises(FileError, match="There is no model"):
+    with pytest.raises(FileError, match="There is no file"):
         load_model(tmp_path / "nowhere", engine)
 
 

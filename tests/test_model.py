@@ -121,7 +121,7 @@ def test_history(small_model):
 def test_progress_is_written_to_standard_error_alone(
     small_cases, toy_config, toy_engine, capsys, monkeypatch
 ):
-    monkeypatch.setattr("pcnde_bridge.training.progress._LOG_EVERY", 0.0)
+    monkeypatch.setattr("pcnde_bridge._utils.progress.LOG_EVERY", 0.0)
     PCNDE.fit(small_cases, toy_config, engine=toy_engine)
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -433,7 +433,7 @@ def test_foreign_and_newer_models(model_file, small_cases, tmp_path):
     (tmp_path / "text").write_text("a model\n")
     with pytest.raises(FileError, match="not a pcnde_bridge model"):
         PCNDE.load(tmp_path / "text")
-    with pytest.raises(FileError, match="There is no model at"):
+    with pytest.raises(FileError, match="There is no file"):
         PCNDE.load(tmp_path / "nowhere")
     facts, arrays = read_archive(model_file, "pcnde-model", 1, "model")
     facts = {"config": facts["config"], "provenance": facts["provenance"]}

@@ -1,4 +1,4 @@
-"""Helpers that know nothing about blood flow.
+"""Helpers that know nothing about blood flow: files, validation, parallel tasks, progress.
 
-Every other room may use them; they use only :mod:`pcnde_bridge.errors`.
+Every other room may use them; they depend only on :mod:`pcnde_bridge.errors`.
 """

@@ -1,4 +1,4 @@
-"""The folder for downloaded and computed data sets."""
+"""Folder for downloaded and computed data sets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def cache_folder(cache: str | os.PathLike[str] | None) -> Path:
-    """Return the folder given, else ``PCNDE_CACHE``, else the user's cache folder."""
+    """Return the given folder, else ``PCNDE_CACHE``, else the user's cache folder."""
     chosen = cache or os.environ.get("PCNDE_CACHE")
     if chosen:
         return Path(chosen).expanduser()

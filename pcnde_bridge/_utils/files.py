@@ -1,102 +1,98 @@
-"""Files: whether they are there, writing them atomically; checksums of arrays."""
+"""Reading files with clear errors, and writing them atomically."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import glob
-import hashlib
 import json
 import os
 import secrets
 import shutil
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
-from pcnde_bridge.errors import (
-    DataNotFoundError,
-    FileError,
-    PCNDEError,
-)
+# Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
+_LARGEST_UNPACKED, _LARGEST_RATIO = 1 << 28, 100
 
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Write a file so that it appears whole or not at all.
+    """Write a file so that it appears complete or not at all.
 
-    Yields the path of an empty temporary file in the folder of ``path`` and with
-    its suffix. When the block ends well, the temporary file replaces ``path``;
-    when it raises, the temporary file is removed and ``path`` stays as it was.
-    A symbolic link is followed: the file that it points to is replaced.
+    The temporary file replaces ``path`` when the block ends without an error; otherwise it
+    is removed and ``path`` remains as it was.  A symbolic link is followed: the file that
+    it points to is replaced.
 
     Parameters
     ----------
-    path : str or path-like
+    path : path-like
         The file to write.
 
     Yields
     ------
     pathlib.Path
-        The temporary file, to be opened and closed inside the block.
+        An empty temporary file in the same folder and with the same suffix, to be opened
+        and closed inside the block.
 
     Raises
     ------
     FileError
-        When the folder does not exist or cannot be written to, when ``path`` is
-        a folder, or when the disk is full.
+        If the folder does not exist or cannot be written to, if ``path`` is a folder,
+        or if the disk is full.
 
     Examples
     --------
     >>> with atomic_write("result.txt") as temporary:  # doctest: +SKIP
     ...     temporary.write_text("42")
     """
-    target, temporary = _places(path)
+    target, temporary = _target_and_temporary(path)
     try:
         _create(temporary)
         yield temporary
-        _flush(temporary)
+        with temporary.open("rb+") as handle:
+            os.fsync(handle.fileno())
         temporary.replace(target)
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
-        # The package's own errors can be OSErrors too; they already say what is wrong.
+        # Errors of this package can be OSErrors, too; they already say what is wrong.
         if isinstance(error, OSError) and not isinstance(error, PCNDEError):
-            raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
+            raise _cannot_write(path, _reason(error, target)) from error
         raise
 
 
 def write_json(path: str | os.PathLike[str], data: Any, indent: int | None = 1) -> None:
-    """Write a JSON file, whole or not at all.
+    """Write a JSON file atomically.
 
     Parameters
     ----------
-    path : str or path-like
+    path : path-like
         The file to write.
     data : object
-        Whatever JSON can hold.
+        Data that JSON can represent.
     indent : int or None
-        Spaces of each level; None puts everything into one line.
+        Spaces per level; None writes a single line.
 
     Raises
     ------
     FileError
-        As :func:`atomic_write`.
+        If the file cannot be written, see :func:`atomic_write`.
     """
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(data, indent=indent) + "\n", encoding="utf-8")
 
 
 def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
-    """Raise if a file could not be written: to be called before long work.
+    """Raise if a file could not be written; to be called before a long computation.
 
     Parameters
     ----------
-    path : str or path-like
+    path : path-like
         The file that will be written; it is not touched.
     size : int
         Bytes that must be free on its disk.
@@ -104,26 +100,27 @@ def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
     Raises
     ------
     FileError
-        As :func:`atomic_write`, or when too little space is free.
+        If the file cannot be written, or too little space is free.
     """
-    target, temporary = _places(path)
+    target, temporary = _target_and_temporary(path)
     try:
         _create(temporary)
         temporary.unlink()
         free = shutil.disk_usage(target.parent).free
     except OSError as error:
-        raise FileError(f"cannot write {str(path)!r}: {_reason(error, target)}") from error
+        raise _cannot_write(path, _reason(error, target)) from error
     if free < size:
-        raise FileError(
-            f"cannot write {str(path)!r}: about {size / 1e6:.1f} MB are needed, and "
-            f"{free / 1e6:.1f} MB are free on the disk; free some space or choose another folder"
+        raise _cannot_write(
+            path,
+            f"about {size / 1e6:.1f} MB are needed, and {free / 1e6:.1f} MB are free on the disk; "
+            "free some space or choose another folder",
         )
 
 
 def remove_leftovers(path: str | os.PathLike[str]) -> None:
     """Remove temporary files of a process that was killed while it wrote a file.
 
-    Only for files that no other process may be writing.
+    Use it only for files that no other process may be writing.
     """
     target = Path(path).resolve()
     pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}{glob.escape(target.suffix)}"
@@ -132,59 +129,95 @@ def remove_leftovers(path: str | os.PathLike[str]) -> None:
             temporary.unlink()
 
 
-def _places(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Return the file that a path means, and a temporary one beside it, or raise."""
-    target = Path(path).resolve()
-    if not target.parent.is_dir():
-        raise FileError(
-            f"cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist; "
-            "create it first"
-        )
-    if target.is_dir():
-        raise FileError(f"cannot write {str(path)!r}: it is a folder; give a file name")
-    name = f".{target.name}.{secrets.token_hex(4)}{target.suffix}"
-    return target, target.with_name(name)
-
-
-def _create(path: Path) -> None:
-    """Make an empty file; not by tempfile.mkstemp, whose files only their owner may read."""
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-
-
-def _flush(path: Path) -> None:
-    """Have the operating system put a file's contents on the disk."""
-    with path.open("rb+") as handle:
-        os.fsync(handle.fileno())
-
-
-def _reason(error: OSError, target: Path) -> str:
-    """Say in words why a file could not be written."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "the disk is full; free some space or choose another folder"
-    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"no permission to write in {str(target.parent)!r}; choose another folder"
-    # Not what h5py adds, which fills lines with addresses.
-    return os.strerror(error.errno) if error.errno else str(error)
-
-
-# What is read is uncompressed or little compressed; deflate packs zeros a thousandfold.
-_UNPACKED, _TIMES = 1 << 28, 100
-
-
-def as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return one path, or several, as a list."""
-    return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
-
-
-def check_file(path: Path, what: str) -> None:
-    """Raise if there is no file to read; ``what`` it would be, as "a .vtp file".
+def make_folder(folder: Path) -> None:
+    """Create a folder and its parents where they are missing.
 
     Raises
     ------
     FileError
-        If the path is a folder.
+        If it cannot be created.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"Cannot create the folder {folder}: {error}.") from error
+
+
+def _target_and_temporary(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Return the file that a path leads to and a temporary file beside it, or raise."""
+    target = Path(path).resolve()
+    if not target.parent.is_dir():
+        raise _cannot_write(
+            path, f"the folder {str(target.parent)!r} does not exist; create it first"
+        )
+    if target.is_dir():
+        raise _cannot_write(path, "it is a folder; give a file name")
+    return target, target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
+
+
+def _create(path: Path) -> None:
+    """Create an empty file with the usual permissions, unlike ``tempfile.mkstemp``."""
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+
+
+def _cannot_write(path: str | os.PathLike[str], reason: str) -> FileError:
+    return FileError(f"cannot write {str(path)!r}: {reason}")
+
+
+def _reason(error: OSError, target: Path) -> str:
+    """Return in words why a file could not be written."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "the disk is full; free some space or choose another folder"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"no permission to write in {str(target.parent)!r}; choose another folder"
+    # h5py adds lines of addresses to the message.
+    return os.strerror(error.errno) if error.errno else str(error)
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Turn any failure to read a file into a ``FileError`` that names the file.
+
+    Damaged bytes can make a reader raise almost any exception; this is the one place
+    that catches them.  Errors of this package pass unchanged.
+
+    Parameters
+    ----------
+    path : path-like
+        The file that is read inside the block.
+    what : str
+        What the file should be, with its article: ``"an HDF5 file"``.
+
+    Raises
+    ------
     DataNotFoundError
-        If there is nothing.
+        If there is no such file.
+    FileError
+        If it is a folder, not permitted to be read, damaged or something else.
+    """
+    check_file(Path(path), what)
+    try:
+        yield
+    except PCNDEError:
+        raise
+    except PermissionError as error:
+        raise FileError(f"No permission to read {path}.") from error
+    except Exception as error:
+        raise FileError(
+            f"{path} is not {what}, or it is truncated or damaged ({error}). "
+            "Check the file, or copy or create it again."
+        ) from error
+
+
+def check_file(path: Path, what: str) -> None:
+    """Raise if there is no file to read; ``what`` it should be is such as "a .vtp file".
+
+    Raises
+    ------
+    DataNotFoundError
+        If the path does not exist.
+    FileError
+        If the path is a folder.
     """
     if path.is_dir():
         raise FileError(f"{path} is a folder, not {what}.")
@@ -192,22 +225,13 @@ def check_file(path: Path, what: str) -> None:
         raise DataNotFoundError(f"There is no file {path}; check the path.")
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder, and those that hold it, unless it is there.
-
-    Raises
-    ------
-    FileError
-        If it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"Cannot make the folder {folder}: {error}.") from error
+def as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
+    """Return one path, or several, as a list."""
+    return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
 
 
 def check_claim(claimed: int, stored: int) -> None:
-    """Refuse contents that are much larger than the file that holds them.
+    """Refuse contents that would be much larger in memory than the file that holds them.
 
     Parameters
     ----------
@@ -218,55 +242,29 @@ def check_claim(claimed: int, stored: int) -> None:
 
     Raises
     ------
-    RuntimeError
+    ValueError
         If they are more than 256 MiB and more than a hundred times the file.
     """
-    if claimed > max(_UNPACKED, _TIMES * stored):
-        raise RuntimeError(f"it claims {claimed} bytes in a file of {stored}")
+    if claimed > max(_LARGEST_UNPACKED, _LARGEST_RATIO * stored):
+        raise ValueError(f"it claims {claimed} bytes in a file of {stored}")
 
 
 def check_members(archive: zipfile.ZipFile, stored: int) -> None:
-    """Refuse archives that unpack into far more than they are, or out of their folder.
+    """Refuse a zip archive that unpacks to far more than its size, or outside its folder.
 
     Parameters
     ----------
     archive : zipfile.ZipFile
-        Open.
+        The open archive.
     stored : int
         Bytes of its file.
 
     Raises
     ------
-    RuntimeError
-        If it is such an archive.
+    ValueError
+        If a member's name leads out of the archive, or its contents are too large.
     """
     for name in archive.namelist():
         if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
-            raise RuntimeError(f"its member {name!r} leads out of it")
+            raise ValueError(f"its member {name!r} leads out of it")
     check_claim(sum(member.file_size for member in archive.infolist()), stored)
-
-
-def sha256_arrays(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 checksum of named arrays, as 64 hexadecimal digits.
-
-    Names, their order, shapes, kinds and every value count. The byte order and
-    the memory layout do not, so the result is the same on every machine.
-
-    Parameters
-    ----------
-    arrays : mapping of str to ndarray
-        Numbers, booleans or text; arrays of Python objects are not allowed.
-
-    Returns
-    -------
-    str
-        The checksum.
-    """
-    digest = hashlib.sha256()
-    for name, array in arrays.items():
-        if array.dtype.hasobject:
-            raise TypeError(f"array {name!r} holds Python objects; it has no checksum")
-        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-        digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
-        digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
-    return digest.hexdigest()

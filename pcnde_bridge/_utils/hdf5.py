@@ -6,30 +6,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcnde_bridge._typing import AnyArray
 from pcnde_bridge._utils.files import check_claim
 
 
-def read_dataset(group: Any, name: str) -> NDArray[Any] | None:
-    """Read a data set that lies in the file itself and is no larger than it can be.
+def read_dataset(group: Any, name: str) -> AnyArray | None:
+    """Read a data set that is stored in the file itself and has a plausible size.
 
     Parameters
     ----------
     group : h5py.File or h5py.Group
-        Of an open file.
+        Group of an open file.
     name : str
         Path of the data set.
 
     Returns
     -------
     array, or None
-        None where there is no such data set.  Text comes as ``str``.
+        None if there is no such data set.  Text is returned as ``str``.
 
     Raises
     ------
-    RuntimeError
-        If the data set lies in another file, or claims more than the file can hold.
+    ValueError
+        If the data set is stored in another file, or claims more than the file can hold.
     """
     import h5py
 
@@ -38,12 +38,12 @@ def read_dataset(group: Any, name: str) -> NDArray[Any] | None:
         if not isinstance(at, h5py.Group):
             return None
         if isinstance(at.get(part, getlink=True), h5py.ExternalLink):
-            raise RuntimeError(f"{name} lies in another file, which is not followed")
+            raise ValueError(f"{name} lies in another file, which is not followed")
         at = at.get(part)
     if not isinstance(at, h5py.Dataset):
         return None
     if at.external or at.is_virtual:
-        raise RuntimeError(f"{name} lies in another file, which is not followed")
+        raise ValueError(f"{name} lies in another file, which is not followed")
     check_claim(at.nbytes, Path(group.file.filename).stat().st_size)
     if h5py.check_string_dtype(at.dtype) is not None:
         return np.asarray(at.asstr("utf-8")[()], dtype=np.str_)

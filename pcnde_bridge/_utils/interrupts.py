@@ -1,4 +1,4 @@
-"""Ctrl-C that is not lost in long work."""
+"""Reliable handling of Ctrl-C during long computations."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from types import FrameType
 
 
 @contextmanager
-def held() -> Iterator[None]:
-    """Let a Ctrl-C wait: for libraries that do not survive one while they are loaded."""
+def deferred() -> Iterator[None]:
+    """Delay Ctrl-C until the block ends, for libraries that it would break while they load."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -23,19 +23,23 @@ def held() -> Iterator[None]:
 
 
 @contextmanager
-def kept() -> Iterator[Callable[[], None]]:
-    """Keep a Ctrl-C that comes inside from being lost.
+def watched() -> Iterator[Callable[[], None]]:
+    """Watch for Ctrl-C inside the block, so that none is lost.
 
-    Gives a function, to be called now and then, that raises a Ctrl-C which Python dropped:
-    a KeyboardInterrupt that comes up where nobody can receive it, in ``__del__`` or in the
-    callback of a weak reference, is printed and forgotten.  After long work in C such a place
-    can be the first of Python to run, and a fit would go on for hours.
+    Python prints and drops a KeyboardInterrupt that is raised where nobody can receive it:
+    in ``__del__`` or in the callback of a weak reference.  After a long call into C such a
+    place can be the first Python code to run, and a fit would continue for hours.  Libraries
+    can also replace it by another error, as JAX does where it compares settings; such an
+    error leaves the block as a KeyboardInterrupt.
 
-    A library can also make another error of it, as JAX does where it compares settings.
-    Such an error leaves as the KeyboardInterrupt that it was.
+    Only the main thread receives signals, and only Python's default handler is watched;
+    otherwise nothing changes.  Nested blocks share one watch.
 
-    Only the main thread gets signals, and only Python's own answer to Ctrl-C is watched:
-    elsewhere nothing is changed.  One inside another shares its watch.
+    Yields
+    ------
+    callable
+        Function without arguments, to be called regularly, that raises KeyboardInterrupt
+        if a Ctrl-C was dropped.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
@@ -47,10 +51,10 @@ def kept() -> Iterator[Callable[[], None]]:
     watch = before if isinstance(before, _Watch) else _Watch()
     signal.signal(signal.SIGINT, watch)
     try:
-        yield watch.look
-        watch.look()
+        yield watch.check
+        watch.check()
     except Exception as error:
-        if watch.came:
+        if watch.interrupted:
             raise KeyboardInterrupt from error
         raise
     finally:
@@ -58,15 +62,15 @@ def kept() -> Iterator[Callable[[], None]]:
 
 
 class _Watch:
-    """Python's own answer to Ctrl-C, which remembers that one came."""
+    """Python's default handler of Ctrl-C, with a record of whether one occurred."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.interrupted = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.came = True
+        self.interrupted = True
         signal.default_int_handler(number, frame)
 
-    def look(self) -> None:
-        if self.came:
+    def check(self) -> None:
+        if self.interrupted:
             raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""What every call of JAX needs: double precision, and a Ctrl-C that stays one."""
+"""Context for all calls of JAX: double precision, and a reliable Ctrl-C."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from pcnde_bridge.errors import EngineError
 
 @cache
 def _process() -> int:
-    """Return the process in which JAX has begun to compute."""
+    """Return the identifier of the process in which JAX first computed."""
     return os.getpid()
 
 
 @contextmanager
 def double_precision() -> Iterator[None]:
-    """Context in which JAX computes in float64, whatever the user set, and leaves that as it is.
+    """Compute in float64 inside the block, whatever the user's settings of JAX are.
 
-    JAX makes a ValueError of a Ctrl-C that comes while it compares settings; see
-    :func:`pcnde_bridge._utils.interrupts.kept`.
+    The settings are restored afterwards.  Ctrl-C is watched because JAX replaces a
+    KeyboardInterrupt by a ValueError while it compares settings; see
+    :func:`pcnde_bridge._utils.interrupts.watched`.
 
     Raises
     ------
     EngineError
-        In a fork of a process in which JAX has computed: JAX would wait for ever there.
+        In a fork of a process in which JAX has computed: JAX would block there forever.
     """
     if os.getpid() != _process():
         raise EngineError(
@@ -38,12 +39,12 @@ def double_precision() -> Iterator[None]:
         )
     import jax
 
-    # Newer versions of JAX have it at the top, older ones under "experimental" only.
-    where = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
+    # Newer versions of JAX have it at the top level, older ones only under "experimental".
+    module = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
     with (
-        interrupts.kept(),
-        where.enable_x64(True),
-        # The user's own code may be held to stricter rules than ours.
+        interrupts.watched(),
+        module.enable_x64(True),
+        # The user may have set stricter rules for their own code.
         jax.numpy_rank_promotion("allow"),
         jax.numpy_dtype_promotion("standard"),
     ):

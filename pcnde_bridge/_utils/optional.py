@@ -1,4 +1,4 @@
-"""Packages that only some formats need: brought in when asked for, by name when missing."""
+"""Import of optional packages, with an error that names the extra to install."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ def require(module: str, extra: str) -> ModuleType:
     Parameters
     ----------
     module : str
-        Its full name.
+        Full name of the module.
     extra : str
-        The extra of this package that installs it.
+        Extra of this package that installs it.
 
     Raises
     ------

@@ -1,12 +1,12 @@
 """Many independent tasks, such as fits, in one process or on many machines.
 
-:func:`run` takes any :class:`concurrent.futures.Executor`.  On one machine::
+:func:`run` accepts any :class:`concurrent.futures.Executor`.  On one machine::
 
     from pcnde_bridge._utils.parallel import processes
 
     ensemble = Ensemble.fit(cases, executor=processes(4))
 
-On a cluster, through ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue``), here with
+On a cluster, with ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue``), here with
 20 jobs of SLURM, one core each; a job that ends early is replaced::
 
     from dask.distributed import Client
@@ -19,70 +19,62 @@ On a cluster, through ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue
     with Client(cluster) as client:
         ensemble = Ensemble.fit(cases, executor=client.get_executor(), folder="fits")
 
-A fit gives the same bits in this process and in any other in which XLA has as many threads:
-all cores that the process may use, or the environment variable ``NPROC``, one in
+A fit gives the same bits in every process in which XLA has the same number of threads: all
+cores that the process may use, or the environment variable ``NPROC``, or one in
 :func:`processes`.  Programs that start processes need ``if __name__ == "__main__":``.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import multiprocessing
 import os
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures import BrokenExecutor as PoolBroken
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from pcnde_bridge._utils.archive import (
-    archive_kind,
-    read_archive,
-    write_archive,
-)
-from pcnde_bridge._utils.files import check_writable, make_folder
 from pcnde_bridge._utils.progress import TaskProgress
+from pcnde_bridge._utils.result_folder import ResultFolder
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.errors import (
-    FileError,
-    InputError,
-    PCNDEError,
-    TaskError,
-)
+from pcnde_bridge.errors import InputError, PCNDEError, TaskError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Workers = Executor | Callable[[], Executor]
-"""An executor, or what makes one, such as :func:`processes`."""
+"""An executor, or a function that creates one, such as :func:`processes`."""
 
-_KIND, _VERSION = "pcnde-task", 1
-_NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # a file's name, too
-_ARRAY = "result."  # begins the names of a result's arrays, which the archive's own thus never are
-
+_NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # also usable as the name of a file
+_DIED = "its worker process died"
 _BROKEN = (
-    "a worker process died, and its pool with it; give what makes a pool, such as processes(2)"
+    "a worker process died, and its pool with it; pass a function that creates pools, such as "
+    "processes(2)"
 )
+_Finished = Generator[tuple[str, Any, str | None], None, None]  # name, result, reason of failure
 
 _log = logging.getLogger("pcnde_bridge")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of some tasks.
+    """Results and failures of some tasks.
 
     Attributes
     ----------
     results : dict
-        By the names of the tasks that finished, in the order of all tasks.
+        Results of the tasks that finished, by name, in the order of all tasks.
     failures : dict of str to str
-        Why the others did not.
+        Reason why each other task failed.
     """
 
     results: dict[str, Any]
@@ -94,45 +86,45 @@ class Outcome:
         Raises
         ------
         TaskError
-            Naming what failed, and why.
+            If a task failed; the message names it and its reason.
         """
         if self.failures:
             raise TaskError(self.complaint())
         return self.results
 
     def complaint(self) -> str:
-        """Say what failed, and why."""
+        """Return a sentence with the failed tasks and their reasons."""
         total = len(self.results) + len(self.failures)
         reasons = "; ".join(f"{name}: {reason}" for name, reason in self.failures.items())
         return f"{len(self.failures)} of {total} tasks failed ({reasons})."
 
 
 def processes(workers: int, threads: int | None = 1) -> Callable[[], Executor]:
-    """Return what makes a pool of processes on this machine, anew if one of them dies.
+    """Return a function that creates a pool of processes on this machine.
 
     Parameters
     ----------
     workers : int
         Number of processes.
     threads : int or None
-        Threads of XLA in each; None leaves it all cores.
+        Threads of XLA in each process; None allows all cores.
 
     Raises
     ------
     InputError
-        If ``workers`` is no whole number from 1 on.
+        If ``workers`` is not a whole number ≥ 1.
     """
     workers = whole("workers", workers, 1)
 
-    def make() -> Executor:
+    def create() -> Executor:
         spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
-        return ProcessPoolExecutor(workers, spawn, initializer=_limit, initargs=(threads,))
+        return ProcessPoolExecutor(workers, spawn, initializer=_set_threads, initargs=(threads,))
 
-    return make
+    return create
 
 
-def _limit(threads: int | None) -> None:
-    """Set the threads of XLA, which has not started yet in a new process."""
+def _set_threads(threads: int | None) -> None:
+    """Set the number of threads of XLA, which has not started yet in a new process."""
     if threads is not None:
         os.environ["NPROC"] = str(threads)
 
@@ -152,23 +144,24 @@ def run(
     Parameters
     ----------
     function : callable
-        Takes a task and returns its result.  With processes, one that a module
-        defines.
+        Takes a task and returns its result.  Worker processes need a function that is
+        defined in a module.
     tasks : mapping
-        By name, for messages and files: up to 200 letters, digits, spaces and ``._,=+-``.
-    executor : Executor, or callable that makes one, optional
-        None works in this process, one task after the other.  Of a pool of
-        processes give the callable, as :func:`processes` returns it: a pool is of
-        no more use when one of its processes dies.
+        Tasks by name, for messages and files: up to 200 letters, digits, spaces and
+        ``._,=+-``.
+    executor : Executor, or callable that creates one, optional
+        None runs the tasks one after the other in this process.  For a pool of processes
+        give the callable that :func:`processes` returns: a pool is unusable after one of
+        its processes died.
     retries : int
-        How often a failed task is tried again.  The package's own errors are
-        reported at once, because they would come again.
+        Number of times that a failed task is repeated.  Errors of this package are
+        reported at once, because they would occur again.
     folder : path-like, optional
-        Keeps the result of every finished task, so that a run that was killed
-        continues; made if missing.  Results must then be mappings of text to
-        arrays and to whatever JSON can hold.
+        Folder for the result of every finished task, so that a killed run can be resumed;
+        it is created if it is missing.  Results must be mappings of names to arrays and
+        to data that JSON can represent.
     facts : mapping, optional
-        With ``folder``: what the results depend on, for JSON; results kept of
+        With ``folder``: data, for JSON, that the results depend on.  Stored results with
         other facts are refused.
     progress : bool
         Show progress on standard error.
@@ -181,12 +174,12 @@ def run(
     Raises
     ------
     InputError
-        If a name cannot be used, the folder holds results of other facts, or a result
-        cannot be kept there.
+        If a name cannot be used, the folder holds results with other facts, or a result
+        cannot be stored there.
     FileError
         If the folder cannot be written.
     KeyboardInterrupt
-        As it came; finished results are in the folder.
+        On Ctrl-C; finished results are in the folder.
 
     Examples
     --------
@@ -199,217 +192,30 @@ def run(
             raise InputError(
                 f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
             )
-    kept = None if folder is None else _Kept(Path(folder), facts or {})
-    results: dict[str, Any] = {}
+    stored = None if folder is None else ResultFolder(folder, facts or {})
+    found = {name: None if stored is None else stored.read(name) for name in tasks}
+    results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
     failures: dict[str, str] = {}
-    if kept is not None:
-        found = {name: kept.read(name) for name in tasks}
-        results = {name: result for name, result in found.items() if result is not None}
     names = [name for name in tasks if name not in results]
     if executor is None:
-        finished = _one_by_one(function, tasks, names, retries)
+        finished = _run_here(function, tasks, names, _Retries(retries))
     else:
-        finished = _at_once(function, tasks, names, executor, retries)
+        finished = _PoolRun(function, tasks, names, executor, _Retries(retries)).results()
     shown = TaskProgress(len(tasks), len(results), progress)
-    # Closed by name: an error's traceback keeps the iterator, and so the pool, alive.
+    # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
     with contextlib.closing(finished), shown as bar:
         for name, result, failure in finished:
             if failure is not None:
                 failures[name] = failure
             else:
                 results[name] = result
-                if kept is not None:
-                    kept.write(name, result)
+                if stored is not None:
+                    stored.write(name, result)
             bar(name, failure)
     return Outcome(
         {name: results[name] for name in tasks if name in results},
         {name: failures[name] for name in tasks if name in failures},
     )
-
-
-_Finished = Generator[tuple[str, Any, str | None], None, None]  # name, result, why it failed
-
-
-class _Failures:
-    """Decides whether a task that failed is tried again."""
-
-    def __init__(self, retries: int) -> None:
-        self._retries = retries
-        self._count: Counter[str] = Counter()
-
-    def final(self, name: str, error: BaseException) -> bool:
-        self._count[name] += 1
-        if isinstance(error, PCNDEError) or self._count[name] > self._retries:
-            return True
-        _log.warning("Task %s failed and is tried again: %s", name, _words(error))
-        return False
-
-
-def _words(error: BaseException) -> str:
-    return str(error) if isinstance(error, PCNDEError) else f"{type(error).__name__}: {error}"
-
-
-def _one_by_one(
-    function: Callable[[Task], Any], tasks: Mapping[str, Task], names: list[str], retries: int
-) -> _Finished:
-    failures = _Failures(retries)
-    for name in names:
-        while True:
-            try:
-                result = function(tasks[name])
-            except Exception as error:
-                if failures.final(name, error):
-                    yield name, None, _words(error)
-                    break
-            else:
-                yield name, result, None
-                break
-
-
-def _at_once(
-    function: Callable[[Task], Any],
-    tasks: Mapping[str, Task],
-    names: list[str],
-    executor: Workers,
-    retries: int,
-) -> _Finished:
-    """Keep the executor busy.
-
-    A process that dies takes its pool with it, and the tasks of the other processes;
-    which one killed it is not known.  So each of them is then tried alone in a new
-    pool, and only a task that breaks a pool alone has failed.
-    """
-    failures = _Failures(retries)
-    pool = executor if isinstance(executor, Executor) else executor()
-    # Pools know their size; where there is none (dask), the scheduler has the queue.
-    width = getattr(pool, "_max_workers", None) or len(names)
-    waiting, suspects = deque(names), deque[str]()
-    running: dict[Future[Any], str] = {}
-    done_well = False
-    try:
-        while waiting or suspects or running:
-            if suspects and not running:
-                queue, most = suspects, 1
-            else:
-                queue, most = waiting, 0 if suspects else width
-            while queue and len(running) < most:
-                try:
-                    running[pool.submit(function, tasks[queue[0]])] = queue[0]
-                except PoolBroken:
-                    if running:
-                        break
-                    if isinstance(executor, Executor):
-                        yield from ((name, None, _BROKEN) for name in waiting)
-                        return
-                    pool = executor()
-                else:
-                    queue.popleft()
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            if any(isinstance(future.exception(), PoolBroken) for future in done):
-                done, _ = wait(running)
-            lost = []
-            for future in done:
-                name = running.pop(future)
-                error = future.exception()
-                if error is None:
-                    yield name, future.result(), None
-                elif isinstance(error, PoolBroken):
-                    lost.append((name, error))
-                elif failures.final(name, error):
-                    yield name, None, _words(error)
-                else:
-                    waiting.append(name)
-            if not lost:
-                continue
-            if isinstance(executor, Executor):
-                yield from ((name, None, _BROKEN) for name in (*(n for n, _ in lost), *waiting))
-                return
-            if len(lost) > 1:
-                suspects.extend(name for name, _ in lost)
-            elif failures.final(*lost[0]):
-                yield lost[0][0], None, "its worker process died"
-            else:
-                suspects.append(lost[0][0])
-            pool.shutdown(wait=False)
-            pool = executor()
-        done_well = True
-    finally:
-        for future in running:
-            future.cancel()
-        if not isinstance(executor, Executor):
-            # A shutdown that does not wait leaves tasks running, and the interpreter's exit
-            # would wait for them.
-            unwanted = {} if done_well else getattr(pool, "_processes", None) or {}
-            workers = list(unwanted.values())
-            pool.shutdown(wait=done_well, cancel_futures=True)
-            for worker in workers:
-                worker.terminate()
-
-
-def remove_results(folder: str | os.PathLike[str]) -> None:
-    """Remove the results that :func:`run` kept, and the folder if nothing else is in it."""
-    for path in Path(folder).glob("*.npz"):
-        if archive_kind(path) == _KIND:
-            path.unlink()
-    with contextlib.suppress(OSError):
-        Path(folder).rmdir()
-
-
-class _Kept:
-    """Results in a folder, a file for each."""
-
-    def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
-        self._folder = folder
-        # As a file gives it back: tuples are lists there.
-        self._facts = json.loads(json.dumps(facts))
-        make_folder(folder)
-        check_writable(self._path("result"))
-
-    def _path(self, name: str) -> Path:
-        return self._folder / f"{name}.npz"
-
-    def read(self, name: str) -> dict[str, Any] | None:
-        """Return a task's result, or None if it has not finished."""
-        path = self._path(name)
-        if not path.exists():
-            return None
-        try:
-            facts, arrays = read_archive(path, _KIND, _VERSION, "result")
-            if facts["facts"] != self._facts:
-                raise InputError(
-                    f"{path} is the result of other tasks (other cases, settings or seeds). Give "
-                    "another folder, or remove this one."
-                )
-            values = {_ARRAY + key: value for key, value in facts["values"].items()} | arrays
-            return {key: values[_ARRAY + key] for key in facts["order"]}
-        except FileError as error:
-            _log.warning("%s The task is done again.", error)
-        except KeyError as error:
-            _log.warning("%s is not a whole result: %s. The task is done again.", path, error)
-        return None
-
-    def write(self, name: str, result: Any) -> None:
-        if not isinstance(result, Mapping):
-            raise InputError(
-                f"The result of {name} is {type(result).__name__}; only mappings can be kept in "
-                "a folder."
-            )
-        arrays, values = {}, {}
-        for key, value in result.items():
-            if isinstance(value, np.ndarray):
-                arrays[f"{_ARRAY}{key}"] = value
-            else:
-                values[key] = value.item() if isinstance(value, np.generic) else value
-        content = {"facts": self._facts, "values": values, "order": list(result)}
-        try:
-            if not all(isinstance(key, str) for key in result):
-                raise TypeError("a name is not text")
-            write_archive(self._path(name), _KIND, _VERSION, content, arrays)
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"The result of {name} cannot be kept in a folder: {error}. Return arrays of "
-                "numbers or text, and what JSON can hold, by names."
-            ) from error
 
 
 def each(
@@ -418,21 +224,21 @@ def each(
     executor: Workers | None = None,
     progress: bool = True,
 ) -> list[Result]:
-    """Results of a function for the arguments of each task, in their order.
+    """Return the results of a function for the arguments of each task, in the same order.
 
     Parameters
     ----------
     function : callable
-        A function of a module, so that worker processes can find it.
+        Function that is defined in a module, so that worker processes can find it.
     tasks : mapping of str to tuple
-        The arguments, by the task's name.
+        Arguments by the name of the task.
     executor, progress
-        As :func:`pcnde_bridge._utils.parallel.run` takes them.
+        See :func:`run`.
 
     Raises
     ------
     TaskError
-        If a task failed in the end.
+        If a task failed.
     """
     calls = {name: (function, arguments) for name, arguments in tasks.items()}
     return list(run(_call, calls, executor=executor, progress=progress).check().values())
@@ -441,3 +247,137 @@ def each(
 def _call(call: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
     function, arguments = call
     return function(*arguments)
+
+
+class _Retries:
+    """Decision whether a failed task is repeated."""
+
+    def __init__(self, retries: int) -> None:
+        self._retries = retries
+        self._failed: Counter[str] = Counter()
+
+    def are_used_up(self, name: str, error: BaseException) -> bool:
+        self._failed[name] += 1
+        if isinstance(error, PCNDEError) or self._failed[name] > self._retries:
+            return True
+        _log.warning("Task %s failed and is repeated: %s", name, _words(error))
+        return False
+
+
+def _words(error: BaseException) -> str:
+    return str(error) if isinstance(error, PCNDEError) else f"{type(error).__name__}: {error}"
+
+
+def _run_here(
+    function: Callable[[Task], Any], tasks: Mapping[str, Task], names: list[str], retries: _Retries
+) -> _Finished:
+    """Run tasks in this process, one after the other."""
+    waiting = deque(names)
+    while waiting:
+        name = waiting[0]
+        finished: tuple[str, Any, str | None]
+        try:
+            finished = name, function(tasks[name]), None
+        except Exception as error:
+            if not retries.are_used_up(name, error):
+                continue
+            finished = name, None, _words(error)
+        waiting.popleft()
+        yield finished
+
+
+class _PoolRun:
+    """Tasks on an executor, with a new pool whenever a worker process dies.
+
+    A process that dies takes its pool and the tasks of all its processes with it, and it is
+    unknown which task was the cause.  Each of these suspects is then repeated alone in a new
+    pool; only a task that breaks a pool alone has failed.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        tasks: Mapping[str, Any],
+        names: list[str],
+        executor: Workers,
+        retries: _Retries,
+    ) -> None:
+        self._function, self._tasks, self._retries = function, tasks, retries
+        self._create = None if isinstance(executor, Executor) else executor
+        self._pool = executor if isinstance(executor, Executor) else executor()
+        # Pools know their size; dask has none, and its scheduler has a queue of its own.
+        self._width = getattr(self._pool, "_max_workers", None) or len(names)
+        self._waiting, self._suspects = deque(names), deque[str]()
+        self._running: dict[Future[Any], str] = {}
+
+    def results(self) -> _Finished:
+        """Yield the outcome of each task when it is known."""
+        complete = False
+        try:
+            while self._waiting or self._suspects or self._running:
+                lost: dict[str, BaseException] = {}
+                if self._submit():
+                    lost = yield from self._collect()
+                    if not lost:
+                        continue
+                if self._create is None:
+                    yield from ((name, None, _BROKEN) for name in (*lost, *self._waiting))
+                    return
+                yield from self._blame(lost)
+                self._pool.shutdown(wait=False)
+                self._pool = self._create()
+            complete = True
+        finally:
+            self._close(complete)
+
+    def _submit(self) -> bool:
+        """Keep the pool busy; return False if it is broken and nothing runs in it."""
+        queue, most = (self._suspects, 1) if self._suspects else (self._waiting, self._width)
+        while queue and len(self._running) < most:
+            try:
+                future = self._pool.submit(self._function, self._tasks[queue[0]])
+            except BrokenExecutor:
+                return bool(self._running)
+            self._running[future] = queue.popleft()
+        return True
+
+    def _collect(self) -> Generator[tuple[str, Any, str | None], None, dict[str, BaseException]]:
+        """Yield tasks that finished; return those that were lost with the pool."""
+        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+            done, _ = wait(self._running)
+        lost: dict[str, BaseException] = {}
+        for future in done:
+            name, error = self._running.pop(future), future.exception()
+            if error is None:
+                yield name, future.result(), None
+            elif isinstance(error, BrokenExecutor):
+                lost[name] = error
+            elif self._retries.are_used_up(name, error):
+                yield name, None, _words(error)
+            else:
+                self._waiting.append(name)
+        return lost
+
+    def _blame(self, lost: Mapping[str, BaseException]) -> _Finished:
+        """Yield the task that broke the pool alone once too often; suspect lost tasks otherwise."""
+        if len(lost) == 1:
+            ((name, error),) = lost.items()
+            if self._retries.are_used_up(name, error):
+                yield name, None, _DIED
+                return
+        self._suspects.extend(lost)
+
+    def _close(self, complete: bool) -> None:
+        """Cancel what still runs; a pool that was created here is shut down."""
+        for future in self._running:
+            future.cancel()
+        if self._create is None:
+            return
+        # A shutdown that does not wait leaves tasks running, and the interpreter would wait
+        # for them on exit.
+        unwanted = {} if complete else getattr(self._pool, "_processes", None) or {}
+        workers = list(unwanted.values())
+        self._pool.shutdown(wait=complete, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()

@@ -1,74 +1,126 @@
-"""Progress of many independent tasks, in terminals, notebooks and log files."""
+"""Progress of long computations, in terminals, notebooks and log files."""
 
 from __future__ import annotations
 
 import time
+from typing import Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
 
-_LOG_EVERY = 10.0  # seconds between two lines where no bar can be drawn
+LOG_EVERY = 10.0
+"""Seconds between two lines of a log, where no bar can be drawn."""
 
 
-class TaskProgress:
-    """Shows how many of some tasks are done, with elapsed and remaining time.
+class ProgressDisplay:
+    """Bar in a terminal or notebook; occasional lines elsewhere, so that log files stay short.
+
+    Parameters
+    ----------
+    description : str
+        Text before the bar.
+    total, done : int
+        Steps of the whole run, and steps completed before it started.
+    columns : iterable of rich.progress.ProgressColumn
+        Columns of the bar after its count.
+    show : bool
+        False shows nothing.
+    console : rich.console.Console, optional
+        Where to write; by default the standard error stream, so that results on the
+        standard output stay clean.
+    **fields
+        Initial values of the columns' own fields.
+    """
+
+    def __init__(
+        self,
+        description: str,
+        total: int,
+        done: int = 0,
+        columns: tuple[ProgressColumn, ...] = (),
+        show: bool = True,
+        console: Console | None = None,
+        **fields: Any,
+    ) -> None:
+        self._console = console or Console(stderr=True)
+        self._draws = self._console.is_terminal or self._console.is_jupyter
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            *columns,
+            console=self._console,
+            disable=not (self._draws and show),
+            # Without a thread that redraws: Python may collect garbage in any thread, and
+            # objects of Julia must be released only in the thread that runs Julia.
+            auto_refresh=False,
+        )
+        self._task = self._bar.add_task(description, total=total, completed=done, **fields)
+        self._total, self._first, self._done = total, done, done
+        self._began = self._last = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._bar.stop()
+
+    def _is_due(self, now: float, draw_every: float = 0.0) -> bool:
+        """Return whether output is due at the time ``now`` (s), and note it if so.
+
+        The bar is due every ``draw_every`` seconds, a line of a log every ``LOG_EVERY``.
+        """
+        if now - self._last < (draw_every if self._draws else LOG_EVERY):
+            return False
+        self._last = now
+        return True
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+class TaskProgress(ProgressDisplay):
+    """Progress of many independent tasks, with elapsed and remaining time.
 
     Parameters
     ----------
     total, done : int
-        Tasks of the whole run, and of them those done before.
+        Tasks of the whole run, and tasks completed before it started.
     show : bool
         False shows nothing.
     console : rich.console.Console, optional
-        Where to write; the standard error stream by default.
+        Where to write; by default the standard error stream.
     """
 
     def __init__(
         self, total: int, done: int = 0, show: bool = True, console: Console | None = None
     ) -> None:
-        self._console = console or Console(stderr=True)
-        self._draws = self._console.is_terminal or self._console.is_jupyter
+        super().__init__("tasks", total, done, (TimeElapsedColumn(),), show, console)
         self._show = show
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=self._console,
-            disable=not (self._draws and show),
-            auto_refresh=False,  # no thread that redraws: see pcnde_bridge.training.progress
-        )
-        self._task = self._bar.add_task("tasks", total=total, completed=done)
-        self._total, self._first, self._done = total, done, done
-        self._began = self._last = time.monotonic()
-
-    def __enter__(self) -> TaskProgress:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
 
     def __call__(self, name: str, failure: str | None = None) -> None:
-        """Count a task that is finished, or failed for good."""
+        """Count a task that has finished, or failed permanently."""
         self._done += 1
         if not self._show:
             return
         now = time.monotonic()
         elapsed = now - self._began
         left = elapsed / (self._done - self._first) * (self._total - self._done)
-        remaining = f"remaining {left:.0f} s"
         if self._draws:
-            self._bar.update(self._task, completed=self._done, description=f"tasks, {remaining}")
+            description = f"tasks, remaining {left:.0f} s"
+            self._bar.update(self._task, completed=self._done, description=description)
             self._bar.refresh()
-        due = now - self._last >= _LOG_EVERY and not self._draws
-        if failure is not None or due:
-            self._last = now
-            what = "done" if failure is None else f"failed: {failure}"
-            self._console.print(
-                f"{self._done} of {self._total} tasks: {name} {what}, elapsed {elapsed:.0f} s, "
-                f"{remaining}",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
+        if failure is not None or (not self._draws and self._is_due(now)):
+            outcome = "done" if failure is None else f"failed: {failure}"
+            self._print(
+                f"{self._done} of {self._total} tasks: {name} {outcome}, elapsed {elapsed:.0f} s, "
+                f"remaining {left:.0f} s"
             )

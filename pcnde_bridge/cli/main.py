@@ -104,7 +104,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        with interrupts.kept():
+        with interrupts.watched():
             app()
     except PCNDEError as error:
         note("Error:", style="bold red", end=" ")

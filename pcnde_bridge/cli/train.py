@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from pcnde_bridge._utils import parallel as tasks
 from pcnde_bridge._utils.files import atomic_write
+from pcnde_bridge._utils.parallel import processes
+from pcnde_bridge._utils.result_folder import remove_results
 from pcnde_bridge.cli.console import (
     interrupted,
     note,
@@ -116,7 +117,7 @@ def cross_validate(
     train = split_of(load_cases(data), split)["train"]
     try:
         table = cross_validation.cross_validate(
-            train, settings, engine.value, seed, executor=tasks.processes(workers), folder=folder
+            train, settings, engine.value, seed, executor=processes(workers), folder=folder
         )
     except KeyboardInterrupt:
         if folder is None:
@@ -278,14 +279,14 @@ def _fit_ensemble(
             engine.value,
             seed,
             members=members,
-            executor=tasks.processes(workers),  # also one, so that their number changes no bit
+            executor=processes(workers),  # also one, so that their number changes no bit
             folder=folder,
         )
     except KeyboardInterrupt:
         raise interrupted(f"The finished fits are in {folder}") from None
     ensemble.save(out)
     if not ensemble.provenance["failures"]:
-        tasks.remove_results(folder)
+        remove_results(folder)
     return ensemble
 
 

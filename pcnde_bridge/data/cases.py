@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from pcnde_bridge._utils.files import sha256_arrays
+from pcnde_bridge._utils.checksum import sha256_arrays
 from pcnde_bridge._utils.validation import counted, listed
 from pcnde_bridge.data.checks import (
     check_arrays,

@@ -63,7 +63,7 @@ def select_engine(name: EngineName | Engine = "auto") -> Engine:
 
 def _jax() -> Engine:
     try:
-        with interrupts.held():
+        with interrupts.deferred():
             from pcnde_bridge.engines.jax.engine import jax_engine
     except ImportError as error:
         raise EngineUnavailableError(

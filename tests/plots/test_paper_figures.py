@@ -314,7 +314,7 @@ def test_pcnde_figures_says_what_is_wrong(run_pcnde, files):
         ((files / "none.npz", data, "--out", files / "x"), "none.npz"),
         ((data, data, "--out", files / "x"), "cases.npz"),
         ((model, data, "--out", files / "x", "--split", files / "no.json"), "no split file"),
-        ((model, data, "--out", files / "file" / "x"), "Cannot make the folder"),
+        ((model, data, "--out", files / "file" / "x"), "Cannot create the folder"),
     ):
         code, text, notes = run_pcnde("figures", *arguments)
         assert code == 2, (arguments, notes)

@@ -79,7 +79,7 @@ class JuliaStage(Generic[InputsT]):
         on_iteration: OnIteration | None = None,
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        with interrupts.kept() as raise_interrupt:
+        with interrupts.watched() as raise_interrupt:
 
             def after_iteration(number: int, loss: float) -> None:
                 # Called even without a callback: here Python notices a Ctrl-C.

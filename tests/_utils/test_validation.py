@@ -12,6 +12,9 @@ import pytest
 from pcnde_bridge import InputError
 from pcnde_bridge._utils.validation import (
     all_of,
+    check_finite,
+    check_increasing,
+    check_shape,
     finite,
     positive,
     whole,
@@ -69,3 +72,30 @@ def test_objects_of_one_kind():
         all_of(str, "names", ["a", 1])
     with pytest.raises(InputError, match=r"names must be a sequence of str, got int"):
         all_of(str, "names", 1)
+
+
+def test_the_first_value_that_is_not_finite_is_named():
+    check_finite("x", np.zeros((2, 3)))
+    with pytest.raises(InputError, match=r"x\[1, 0\] is nan: all values must be finite; 2 values"):
+        check_finite("x", np.array([[0.0, 1.0], [np.nan, np.inf]]))
+    with pytest.raises(InputError, match=r"^x is inf: .*; 1 value of x is wrong"):
+        check_finite("x", np.array(np.inf))
+
+
+@pytest.mark.parametrize("values", [[0.0, 1.0, 1.0], [0.0, 1.0, 0.5], [0.0, 1.0, np.nan]])
+def test_rows_that_do_not_increase_are_refused(values):
+    check_increasing("z", np.array([0.0, 1.0, 1.5]))
+    with pytest.raises(
+        InputError, match=r"z\[2\] is .*: z must be strictly increasing \(cm\); 1 v"
+    ):
+        check_increasing("z", np.array(values), "cm")
+
+
+def test_shapes_are_exact():
+    check_shape("x", np.zeros((2, 3)), (2, 3))
+    with pytest.raises(InputError, match=r"x must have the shape \(2, 3\), but its .* \(2,\)$"):
+        check_shape("x", np.zeros(2), (2, 3))
+    with pytest.raises(
+        InputError, match=r"\(case, z\) = \(2, 3\), .* \(3, 2\); it looks transposed"
+    ):
+        check_shape("x", np.zeros((3, 2)), (2, 3), "case, z")

@@ -1,15 +1,18 @@
+"""Files: written completely or not at all, and read with errors that name the file."""
+
 from __future__ import annotations
 
 import errno
 import os
 import stat
 
-import numpy as np
 import pytest
 
 from pcnde_bridge._utils.files import (
     atomic_write,
-    sha256_arrays,
+    check_claim,
+    check_file,
+    reading,
     write_json,
 )
 from pcnde_bridge.errors import DataNotFoundError, FileError
@@ -117,18 +120,44 @@ def test_json_is_written_whole_or_not_at_all(tmp_path):
     assert names(tmp_path) == ["a.json"]
 
 
-def test_sha256_arrays_sees_contents_not_layout():
-    array = np.arange(6.0).reshape(2, 3)
-    known = sha256_arrays({"a": array, "t": np.array(["x", "yy"])})
-    assert known == sha256_arrays({"a": np.asfortranarray(array), "t": np.array(["x", "yy"])})
-    assert known == sha256_arrays({"a": array.astype(">f8"), "t": np.array(["x", "yy"], ">U2")})
-    for other in (
-        {"b": array, "t": np.array(["x", "yy"])},
-        {"a": array.reshape(3, 2), "t": np.array(["x", "yy"])},
-        {"a": array.astype(np.float32), "t": np.array(["x", "yy"])},
-        {"a": array, "t": np.array(["xy", "y"])},
-        {"t": np.array(["x", "yy"]), "a": array},
+def test_any_failure_to_read_names_the_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("text")
+    for error in (ValueError("odd"), RuntimeError("odd"), MemoryError("odd"), KeyError("odd")):
+        message = r"a\.txt is not a thing, or it is truncated or damaged \('?odd'?\)"
+        with pytest.raises(FileError, match=message) as caught, reading(path, "a thing"):
+            raise error
+        assert caught.value.__cause__ is error
+    with (
+        pytest.raises(FileError, match=r"No permission to read .*a\.txt"),
+        reading(path, "a thing"),
     ):
-        assert sha256_arrays(other) != known
-    with pytest.raises(TypeError, match="holds Python objects"):
-        sha256_arrays({"a": np.array([None])})
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+
+@pytest.mark.parametrize("error", [FileError("ours"), KeyboardInterrupt("ours")])
+def test_our_own_errors_and_ctrl_c_pass_unchanged(tmp_path, error):
+    path = tmp_path / "a.txt"
+    path.write_text("text")
+    with pytest.raises(type(error), match=r"^ours$"), reading(path, "a thing"):
+        raise error
+
+
+def test_missing_files_and_folders_cannot_be_read(tmp_path):
+    for check in (lambda path: check_file(path, "a thing"), lambda path: enter(path)):
+        with pytest.raises(DataNotFoundError, match=r"There is no file .*absent; check the path"):
+            check(tmp_path / "absent")
+        with pytest.raises(FileError, match="is a folder, not a thing"):
+            check(tmp_path)
+
+
+def enter(path):
+    with reading(path, "a thing"):
+        raise AssertionError("the block must not run")
+
+
+def test_contents_far_larger_than_their_file_are_refused():
+    check_claim(1 << 28, 1)
+    check_claim(100 << 28, 1 << 28)
+    with pytest.raises(ValueError, match="claims 268435457 bytes in a file of 1"):
+        check_claim((1 << 28) + 1, 1)

@@ -22,9 +22,9 @@ from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import (
     Outcome,
     processes,
-    remove_results,
     run,
 )
+from pcnde_bridge._utils.result_folder import remove_results
 
 
 def work(seed):
@@ -152,7 +152,7 @@ def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
         outcome = run(kill_once, tasks, executor=pool, progress=False)
         assert outcome.results == {}
         assert list(outcome.failures) == list(tasks)
-        assert "give what makes a pool, such as processes(2)" in outcome.failures["t2"]
+        assert "pass a function that creates pools, such as processes(2)" in outcome.failures["t2"]
         again = run(kill_once, {"t": (None, False)}, executor=pool, progress=False)
         assert list(again.failures) == ["t"]
 
@@ -168,7 +168,7 @@ def sleep_unless_last(task):
     if interrupt:
         os.kill(os.getppid(), signal.SIGINT)
         time.sleep(600)
-    return "no mapping, so it cannot be kept"
+    return "no mapping, so it cannot be stored"
 
 
 @pytest.mark.parametrize(("interrupt", "error"), [(False, InputError), (True, KeyboardInterrupt)])
@@ -219,14 +219,14 @@ def test_results_of_other_tasks_are_refused_and_damaged_ones_made_again(tmp_path
     path = tmp_path / "seed 2.npz"
     path.write_bytes(path.read_bytes()[:100])
     assert same(run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check(), serial)
-    assert "The task is done again" in caplog.text
+    assert "The task is repeated" in caplog.text
     assert read_archive(path, "pcnde-task", 1, "result")
     for content in ({}, {"facts": facts, "values": {}, "order": ["x"]}):
         write_archive(path, "pcnde-task", 1, content, {})
         caplog.clear()
         found = run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check()
         assert same(found, serial)
-        assert "not a whole result" in caplog.text
+        assert "incomplete result" in caplog.text
     (tmp_path / "mine.npz").write_text("not a result")
     remove_results(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.npz"]
@@ -234,12 +234,12 @@ def test_results_of_other_tasks_are_refused_and_damaged_ones_made_again(tmp_path
 
 def test_folders_and_names_that_cannot_be_used(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="Cannot make the folder"):
+    with pytest.raises(FileError, match="Cannot create the folder"):
         run(refuse, SEEDS, folder=tmp_path / "file" / "f", progress=False)
     for name in ("", "../up", ".hidden", "a/b", "a\0", "a" * 300):
         with pytest.raises(InputError, match="cannot name a task"):
             run(refuse, {name: 1}, progress=False)
-    with pytest.raises(InputError, match="only mappings can be kept"):
+    with pytest.raises(InputError, match="only mappings can be stored"):
         run(abs, {"a": -1}, folder=tmp_path, progress=False)
 
 
@@ -259,7 +259,7 @@ def test_results_of_any_names_are_kept(tmp_path):
 
 @pytest.mark.parametrize("result", [{"a": object()}, {"a": np.array([None])}, {1: 2.0}])
 def test_a_result_that_no_file_can_hold_is_said(result, tmp_path):
-    with pytest.raises(InputError, match="result of first cannot be kept"):
+    with pytest.raises(InputError, match="result of first cannot be stored"):
         run(lambda _: result, {"first": 1}, folder=tmp_path, progress=False)
 
 

@@ -25,7 +25,7 @@ def test_python_drops_it(drop_ctrl_c, monkeypatch):
 
 
 def test_a_dropped_one_is_raised_by_the_next_look(drop_ctrl_c):
-    with pytest.raises(KeyboardInterrupt), interrupts.kept() as look:
+    with pytest.raises(KeyboardInterrupt), interrupts.watched() as look:
         look()
         drop_ctrl_c()
         look()
@@ -34,27 +34,27 @@ def test_a_dropped_one_is_raised_by_the_next_look(drop_ctrl_c):
 
 
 def test_a_dropped_one_is_raised_at_the_end_if_nobody_looks(drop_ctrl_c):
-    with pytest.raises(KeyboardInterrupt), interrupts.kept():
+    with pytest.raises(KeyboardInterrupt), interrupts.watched():
         drop_ctrl_c()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_another_error_that_was_made_of_it_is_a_ctrl_c_again():
-    with pytest.raises(KeyboardInterrupt) as caught, interrupts.kept():
+    with pytest.raises(KeyboardInterrupt) as caught, interrupts.watched():
         _make_value_error_of_ctrl_c()
     assert isinstance(caught.value.__cause__, ValueError)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_another_error_without_one_is_left_alone():
-    with pytest.raises(ValueError, match="ours"), interrupts.kept():
+    with pytest.raises(ValueError, match="ours"), interrupts.watched():
         raise ValueError("ours")
 
 
 def test_one_inside_another_shares_its_watch(drop_ctrl_c):
-    with pytest.raises(KeyboardInterrupt), interrupts.kept():
+    with pytest.raises(KeyboardInterrupt), interrupts.watched():
         try:
-            with interrupts.kept():
+            with interrupts.watched():
                 drop_ctrl_c()
         except KeyboardInterrupt:
             pass
@@ -72,7 +72,7 @@ def _make_value_error_of_ctrl_c():
 
 
 def test_without_one_nothing_is_raised():
-    with interrupts.kept() as look:
+    with interrupts.watched() as look:
         look()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -81,7 +81,7 @@ def test_another_answer_to_ctrl_c_is_left_alone():
     heard = []
     before = signal.signal(signal.SIGINT, lambda *_: heard.append("one"))
     try:
-        with interrupts.kept() as look:
+        with interrupts.watched() as look:
             signal.raise_signal(signal.SIGINT)
             look()
     finally:
@@ -166,7 +166,7 @@ def test_other_threads_have_no_signals():
     seen = []
 
     def work():
-        with interrupts.kept() as look:
+        with interrupts.watched() as look:
             look()
             seen.append(signal.getsignal(signal.SIGINT))
 
@@ -179,7 +179,7 @@ def test_other_threads_have_no_signals():
 def test_ctrl_c_waits_while_a_library_loads():
     steps = []
     with pytest.raises(KeyboardInterrupt):
-        with interrupts.held():
+        with interrupts.deferred():
             signal.raise_signal(signal.SIGINT)
             steps.append("loaded")
         steps.append("lost")

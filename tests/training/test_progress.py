@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from pcnde_bridge._utils import progress as tasks
-from pcnde_bridge._utils.progress import TaskProgress
+from pcnde_bridge._utils import progress as base
 from pcnde_bridge.training import progress
 from pcnde_bridge.training.history import Iteration
 from pcnde_bridge.training.progress import (
@@ -31,7 +30,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    for module in (progress, tasks):
+    for module in (progress, base):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=clock.monotonic))
     return clock
 
@@ -60,7 +59,7 @@ def test_a_log_has_a_line_now_and_then(clock):
 
 
 def test_every_iteration_with_another_interval(clock, monkeypatch):
-    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     console = log()
     with TrainingProgress(4, console=console) as bar:
         for number in range(1, 5):
@@ -74,7 +73,7 @@ def test_every_iteration_with_another_interval(clock, monkeypatch):
 
 
 def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
-    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     console = log()
     with TrainingProgress(100, done=90, console=console) as bar:
         clock.now += 50.0  # compiles
@@ -86,29 +85,6 @@ def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
     assert first.endswith("elapsed 50 s, remaining unknown")
     assert "iteration 92 of 100" in second
     assert second.endswith("elapsed 53 s, remaining 24 s")
-
-
-@pytest.mark.parametrize("terminal", [False, True])
-def test_tasks_done_before_and_failed_ones_count(clock, monkeypatch, terminal):
-    console = Console(file=io.StringIO(), force_terminal=terminal, width=200, color_system=None)
-    monkeypatch.setattr(tasks, "_LOG_EVERY", 0.0)
-    with TaskProgress(10, 6, console=console) as bar:
-        clock.now += 5.0
-        bar("seed 6")
-        clock.now += 1.0
-        bar("seed 7", "SolveError: it diverged")
-    shown = console.file.getvalue()
-    assert "8 of 10 tasks: seed 7 failed: SolveError: it diverged" in shown
-    assert "elapsed 6 s, remaining 6 s" in shown
-    assert ("7 of 10 tasks: seed 6 done, elapsed 5 s, remaining 15 s" in shown) != terminal
-    assert ("7/10" in shown and "8/10" in shown) == terminal
-
-
-def test_tasks_in_silence():
-    console = Console(file=io.StringIO(), force_terminal=False)
-    with TaskProgress(1, show=False, console=console) as bar:
-        bar("seed 0", "failed")
-    assert console.file.getvalue() == ""
 
 
 def test_a_short_run_leaves_the_log_empty(clock):
@@ -145,7 +121,7 @@ def test_an_interrupted_bar_stays_where_it_was():
 
 
 def test_listening_is_a_bar_or_the_callers_function_or_nothing(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "_LOG_EVERY", 0.0)
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     heard = []
     for listener, words in (
         (True, "flow, epoch 1: iteration 1 of 3"),

@@ -1,0 +1,113 @@
+"""Results of tasks stored in a folder, one file each, so that a killed run can be resumed."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcnde_bridge._utils.archive import archive_kind, read_archive, write_archive
+from pcnde_bridge._utils.files import check_writable, make_folder
+from pcnde_bridge.errors import FileError, InputError
+
+_KIND, _VERSION = "pcnde-task", 1
+_ARRAY = "result."  # prefix of a result's arrays; the archive's own names never start with it
+
+_log = logging.getLogger("pcnde_bridge")
+
+
+class ResultFolder:
+    """Folder with one file per finished task.
+
+    Parameters
+    ----------
+    folder : path-like
+        Created if it is missing.
+    facts : mapping
+        Data, for JSON, that the results depend on.
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be written.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
+        self._folder = Path(folder)
+        self._facts = json.loads(json.dumps(facts))  # as read from a file: tuples become lists
+        make_folder(self._folder)
+        check_writable(self._path("result"))
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}.npz"
+
+    def read(self, name: str) -> dict[str, Any] | None:
+        """Return the result of a task, or None if it has to be computed.
+
+        Raises
+        ------
+        InputError
+            If the stored result depends on other facts.
+        """
+        path = self._path(name)
+        if not path.exists():
+            return None
+        try:
+            facts, arrays = read_archive(path, _KIND, _VERSION, "result")
+            if facts["facts"] != self._facts:
+                raise InputError(
+                    f"{path} is the result of other tasks (other cases, settings or seeds). Give "
+                    "another folder, or remove this one."
+                )
+            values = {_ARRAY + key: value for key, value in facts["values"].items()} | arrays
+            return {key: values[_ARRAY + key] for key in facts["order"]}
+        except FileError as error:
+            _log.warning("%s The task is repeated.", error)
+        except KeyError as error:
+            _log.warning("%s is an incomplete result: %s. The task is repeated.", path, error)
+        return None
+
+    def write(self, name: str, result: Any) -> None:
+        """Store the result of a task.
+
+        Raises
+        ------
+        InputError
+            If the result is not a mapping of names to arrays and JSON data.
+        """
+        if not isinstance(result, Mapping):
+            raise InputError(
+                f"The result of {name} is {type(result).__name__}; only mappings can be stored in "
+                "a folder."
+            )
+        arrays, values = {}, {}
+        for key, value in result.items():
+            if isinstance(value, np.ndarray):
+                arrays[f"{_ARRAY}{key}"] = value
+            else:
+                values[key] = value.item() if isinstance(value, np.generic) else value
+        content = {"facts": self._facts, "values": values, "order": list(result)}
+        try:
+            if not all(isinstance(key, str) for key in result):
+                raise TypeError("a name is not text")
+            write_archive(self._path(name), _KIND, _VERSION, content, arrays)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"The result of {name} cannot be stored in a folder: {error}. Return a mapping of "
+                "names to arrays of numbers or text and to data that JSON can represent."
+            ) from error
+
+
+def remove_results(folder: str | os.PathLike[str]) -> None:
+    """Remove the results stored in a folder, and the folder if it is then empty."""
+    for path in Path(folder).glob("*.npz"):
+        if archive_kind(path) == _KIND:
+            path.unlink()
+    with contextlib.suppress(OSError):
+        Path(folder).rmdir()
