@@ -128,7 +128,7 @@ def curves(driver: Any, column: str) -> list[dict[str, Any]]:
 
 def settled(driver: Any) -> bool:
     """Whether everything is drawn, the interval and the 1D solver, too."""
-    said = [element.text for element in driver.find_elements("id", "beside")]
+    said = [element.text for element in driver.find_elements("id", "progress")]
     drawn = [trace["y"] for column in ("along", "over") for trace in curves(driver, column)[-1:]]
     return said not in ([], [""]) and "computing" not in said[0] and len(drawn) == 2 and all(drawn)
 

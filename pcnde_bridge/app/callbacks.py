@@ -1,12 +1,12 @@
-"""How the page reacts.
+"""Reactions of the page.
 
-One callback draws, and it only takes what is ready at once: the prediction, and what else
-has been computed before for the same inputs.  When the controls have rested, two others
-compute the interval and the 1D solver's solution, and have it drawn again.  What they
-compute is kept under its inputs, so that a late result is never drawn beside other curves.
+One callback draws with the results that are available at once: the prediction, and whatever
+has been computed before for the same inputs.  When the controls have settled, two others
+compute the interval and the 1D solver's solution, and trigger drawing again.  Their results
+are cached with the inputs, so that a late result is never drawn with other curves.
 
-That they are done they say by ``set_props``, not by an output: Dash would draw nothing
-before the outputs that the drawing depends on are there.
+These two report that they are done through ``set_props``, not through an output, because
+Dash would delay drawing until the outputs that it depends on are available.
 """
 
 from __future__ import annotations
@@ -29,44 +29,39 @@ from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.uncertainty.novelty import EDGE
 
-CONTROLS = {
-    "blockage": ("blockage", "value"),
-    "position": ("position", "value"),
-    "length": ("length", "value"),
-    "scale": ("scale", "value"),
-    "uploaded": ("waveform", "data"),
-}
-"""Component and property that hold each choice."""
+_NUMBERS = ("blockage", "position", "length", "scale")
+_CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("waveform", "data")}
+"""Component and property of each choice."""
 
 
 def connect(app: Dash, explorer: Explorer) -> None:
     """Register the callbacks of a page with this explorer."""
-    _draw(app, explorer)
-    _beside(app, explorer)
-    _upload(app, explorer)
-    _download(app, explorer)
+    _connect_drawing(app, explorer)
+    _connect_comparison(app, explorer)
+    _connect_upload(app, explorer)
+    _connect_download(app, explorer)
 
 
-def chosen(explorer: Explorer, values: dict[str, Any]) -> Inputs:
-    """Return what the controls' values mean.
+def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
+    """Return the inputs for the values of the controls.
 
     Raises
     ------
     PreventUpdate
         While a number is being typed.
     InputError
-        If a value is not usable.
+        If a value is invalid.
     """
-    numbers = {name: values[name] for name in ("blockage", "position", "length", "scale")}
+    numbers = {name: values[name] for name in _NUMBERS}
     if any(value is None for value in numbers.values()):
         raise PreventUpdate
     numbers["blockage"] /= 100
-    uploaded = values.get("uploaded")  # what a browser has not set it leaves out
+    uploaded = values.get("uploaded")  # browsers omit values that are not set
     waveform = None if uploaded is None else Waveform(**uploaded)
     return explorer.choices.inputs(**numbers, waveform=waveform)
 
 
-def _draw(app: Dash, explorer: Explorer) -> None:
+def _connect_drawing(app: Dash, explorer: Explorer) -> None:
     @app.callback(
         output={
             "along": Output("along", "figure"),
@@ -74,134 +69,126 @@ def _draw(app: Dash, explorer: Explorer) -> None:
             "along_title": Output("along-title", "children"),
             "over_title": Output("over-title", "children"),
             "novelty": Output("novelty", "children"),
-            "outside": Output("novelty", "className"),
+            "novelty_class": Output("novelty", "className"),
             "message": Output("message", "children"),
-            "beside": Output("beside", "children"),
+            "progress": Output("progress", "children"),
         },
         inputs={
-            "values": {name: Input(*where) for name, where in CONTROLS.items()},
-            "instant": Input("instant", "value"),
-            "point": Input("point", "value"),
+            "values": {name: Input(*component) for name, component in _CONTROLS.items()},
+            "time_index": Input("time-point", "value"),
+            "z_index": Input("grid-point", "value"),
             "shown": Input("shown", "value"),
             "_done": Input("done", "data"),
         },
     )
     def draw(
-        values: dict[str, Any], instant: int, point: int, shown: list[str], _done: str | None
+        values: dict[str, Any], time_index: int, z_index: int, shown: list[str], _done: str | None
     ) -> dict[str, Any]:
         grid = explorer.model.grid
-        known = instant in range(grid.time.size) and point in range(grid.z.size)
-        if not known or shown is None:  # the page itself never asks for such
+        valid = time_index in range(grid.time.size) and z_index in range(grid.z.size)
+        if not valid or shown is None:  # the page itself never asks for these
             raise PreventUpdate
         try:
-            inputs = chosen(explorer, values)
-            along, over = explorer.along(inputs, instant), explorer.over(inputs, point)
+            inputs = _inputs(explorer, values)
+            along, over = explorer.along(inputs, time_index), explorer.over(inputs, z_index)
         except PCNDEError as error:
-            nothing = page.redraw(dict.fromkeys(explorer.variables, page.NOTHING), 0, {})
-            return {
-                "along": nothing,
-                "over": nothing,
-                "along_title": no_update,
-                "over_title": no_update,
-                "novelty": "",
-                "outside": "",
-                "message": str(error),
-                "beside": "",
-            }
+            empty = page.redraw(dict.fromkeys(explorer.variables, page.NO_CURVES), 0, {})
+            titles = dict.fromkeys(("along_title", "over_title"), no_update)
+            texts = dict.fromkeys(("novelty", "novelty_class", "progress"), "")
+            return {"along": empty, "over": empty, "message": str(error)} | titles | texts
         found = explorer.prediction(inputs)
-        t, z = float(found.time[instant]), float(found.z[point])
-        wanted = {page.BAND: "interval" in shown, page.TUBE: "tube" in shown}
-        outside, novelty = _novelty(explorer.novelty(inputs))
+        t, z = float(found.time[time_index]), float(found.z[z_index])
+        traces = {page.INTERVAL: "interval" in shown, page.SOLVER: "solver" in shown}
+        outside, novelty = _describe_novelty(explorer.novelty(inputs))
         return {
-            "along": page.redraw(along, z, wanted),
-            "over": page.redraw(over, t, wanted),
+            "along": page.redraw(along, z, traces),
+            "over": page.redraw(over, t, traces),
             "along_title": f"Along the vessel at t = {t:.2f} s",
             "over_title": f"Over one cycle at z = {z:.2f} cm",
             "novelty": novelty,
-            "outside": "outside" if outside else "inside",
+            "novelty_class": "outside" if outside else "inside",
             "message": "",
-            "beside": _progress(explorer, inputs, shown),
+            "progress": _describe_progress(explorer, inputs, shown),
         }
 
 
-def _novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
-    """Whether the input lies outside the training data, and what to say of it."""
+def _describe_novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
+    """Return whether the inputs are outside the training data, and a description."""
     if scores is None:
-        return True, ["This model does not say what it was trained on: no novelty score."]
+        return True, ["No novelty score: this model has no record of its training data."]
     parts = scores._asdict()
     beyond = [name for name, score in parts.items() if score > EDGE]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
-    small = html.Small(f"Novelty: {numbers}; 1 is the edge.")
+    small = html.Small(f"Novelty: {numbers}; above 1 is outside.")
     if not beyond:
         return False, [html.Strong("Inside the training data"), small]
     return True, [
         html.Strong("Outside the training data"),
-        f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any case "
-        "that the model has learnt from. It extrapolates: do not rely on this prediction.",
+        f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any "
+        "training case. The model extrapolates: do not rely on this prediction.",
         small,
     ]
 
 
-def _progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]:
-    """Say how the interval and the 1D solver are getting on."""
-    said = []
-    for name, what, kept in (
+def _describe_progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]:
+    """Report the state of the interval and the 1D solver."""
+    lines = []
+    for name, text, cache in (
         ("interval", "90 % interval", explorer.interval),
-        ("tube", "1D solver", explorer.tube),
+        ("solver", "1D solver", explorer.solution),
     ):
         if name in shown:
-            result = kept.look(inputs)
+            result = cache.cached(inputs)
             if result is None:
-                said.append(html.Span(f"{what}: computing …", className="computing"))
-            elif isinstance(result, PCNDEError):
-                said.append(html.Span(f"{what}: {result}"))
+                lines.append(html.Span(f"{text}: computing …", className="computing"))
             else:
-                said.append(html.Span(f"{what}: shown."))
-    return said
+                state = result if isinstance(result, PCNDEError) else "shown."
+                lines.append(html.Span(f"{text}: {state}"))
+    return lines
 
 
-def _beside(app: Any, explorer: Explorer) -> None:
+def _connect_comparison(app: Any, explorer: Explorer) -> None:
     app.clientside_callback(
-        ClientsideFunction("pcnde", "rested"),
-        *(Input(*where) for where in CONTROLS.values()),
+        ClientsideFunction("pcnde", "settled"),
+        *(Input(*component) for component in _CONTROLS.values()),
         Input("shown", "value"),
     )
-    for name, compute in (("interval", explorer.interval), ("tube", explorer.tube)):
-        later = _later(explorer, name, compute)
-        app.callback(Output(name, "data"), Input("rested", "data"))(later)
+    for name, compute in (("interval", explorer.interval), ("solver", explorer.solution)):
+        callback = _compute_latest(explorer, name, compute)
+        app.callback(Output(name, "data"), Input("settled", "data"))(callback)
 
 
-def _later(
+def _compute_latest(
     explorer: Explorer, name: str, compute: Callable[[Inputs], Any]
 ) -> Callable[[dict[str, Any] | None], int]:
-    """Make the callback that computes what is asked for last, on each page."""
-    last: dict[str, int] = {}
+    """Create the callback that computes the latest request of each open page."""
+    latest: dict[str, int] = {}
     one_at_a_time = threading.Lock()
 
-    def later(rested: dict[str, Any] | None) -> int:
-        if rested is None or name not in rested["shown"]:
+    def callback(settled: dict[str, Any] | None) -> int:
+        if settled is None or name not in settled["shown"]:
             raise PreventUpdate
-        asker, number = str(rested["page"]), int(rested["number"])
-        last[asker] = max(number, last.get(asker, 0))
+        page_id, number = str(settled["page"]), int(settled["number"])
+        latest[page_id] = max(number, latest.get(page_id, 0))
         with one_at_a_time:
-            if number < last[asker]:  # the page has moved on meanwhile
+            if number < latest[page_id]:  # there is a newer request
                 raise PreventUpdate
-            with contextlib.suppress(PCNDEError):  # kept, and said when the page is drawn
-                compute(chosen(explorer, rested))
+            with contextlib.suppress(PCNDEError):  # cached, and shown when the page is drawn
+                compute(_inputs(explorer, settled))
         set_props("done", {"data": f"{name} {number}"})
         return number
 
-    return later
+    return callback
 
 
-def _upload(app: Dash, explorer: Explorer) -> None:
+def _connect_upload(app: Dash, explorer: Explorer) -> None:
     @app.callback(
         output={
             "waveform": Output("waveform", "data"),
             "note": Output("uploaded", "children"),
-            "look": Output("uploaded", "className"),
+            "note_class": Output("uploaded", "className"),
             "scale": Output("scale", "value"),
-            "no_way_back": Output("reset", "hidden"),
+            "reset_hidden": Output("reset", "hidden"),
             "contents": Output("upload", "contents"),
         },
         inputs={
@@ -212,47 +199,54 @@ def _upload(app: Dash, explorer: Explorer) -> None:
         prevent_initial_call=True,
     )
     def upload(contents: str | None, _reset: int, name: str | None) -> dict[str, Any]:
-        # Emptied afterwards, so that the same file can be uploaded again.
-        result = {"look": "hint", "scale": 1.0, "contents": None}
+        choices = explorer.choices
+        # The contents are cleared, so that the same file can be uploaded again.
+        result: dict[str, Any] = {"note_class": "hint", "contents": None}
         if ctx.triggered_id == "reset":
-            start, note = explorer.choices.scale.start, page.base_note(explorer.choices)
-            return result | {"waveform": None, "note": note, "scale": start, "no_way_back": True}
+            note, scale = page.waveform_note(choices), choices.scale.start
+            return result | {"waveform": None, "note": note, "scale": scale, "reset_hidden": True}
         if contents is None:
             raise PreventUpdate
         try:
-            waveform, note = read_waveform(decoded(contents), name or "The file", explorer.model)
+            waveform, note = read_waveform(decode(contents), name or "The file", explorer.model)
         except InputError as error:
-            kept = {"waveform": no_update, "scale": no_update, "no_way_back": no_update}
-            return result | kept | {"note": f"Not taken. {error}", "look": "problem"}
+            unchanged = dict.fromkeys(("waveform", "scale", "reset_hidden"), no_update)
+            note = f"The file was rejected. {error}"
+            return result | unchanged | {"note": note, "note_class": "problem"}
         note = f"Scale 1 is {note}"
-        return result | {"waveform": asdict(waveform), "note": note, "no_way_back": False}
+        return result | {
+            "waveform": asdict(waveform),
+            "note": note,
+            "scale": 1.0,
+            "reset_hidden": False,
+        }
 
 
-def decoded(contents: str) -> bytes:
-    """Bytes of what the browser sends of a file: ``data:TYPE;base64,…``.
+def decode(contents: str) -> bytes:
+    """Return the bytes of a file as the browser sends it: ``data:TYPE;base64,…``.
 
     Raises
     ------
     InputError
-        If it is not that.
+        If the contents have another form.
     """
     try:
         return base64.b64decode(contents.partition(",")[2], validate=True)
     except (binascii.Error, ValueError) as error:
-        raise InputError(f"The upload did not arrive whole: {error}; try again.") from error
+        raise InputError(f"The upload is incomplete: {error}; try again.") from error
 
 
-def _download(app: Dash, explorer: Explorer) -> None:
+def _connect_download(app: Dash, explorer: Explorer) -> None:
     @app.callback(
         Output("csv", "data"),
         Output("message", "children", allow_duplicate=True),
         Input("download", "n_clicks"),
-        {name: State(*where) for name, where in CONTROLS.items()},
+        {name: State(*component) for name, component in _CONTROLS.items()},
         prevent_initial_call=True,
     )
     def download(_clicks: int, values: dict[str, Any]) -> tuple[Any, Any]:
         try:
-            table = explorer.csv(chosen(explorer, values))
+            table = explorer.csv(_inputs(explorer, values))
         except PCNDEError as error:
             return no_update, str(error)
         return {"content": table, "filename": "prediction.csv", "type": "text/csv"}, no_update

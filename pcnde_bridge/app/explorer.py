@@ -1,4 +1,4 @@
-"""What the page shows: predictions, intervals and the 1D solver's solution, kept for reuse."""
+"""Curves on the page: predictions, intervals and the 1D solver's solution, cached."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,18 +27,18 @@ from pcnde_bridge.plots.style import QUANTITIES
 Limits = Mapping[str, tuple[Array, Array]]
 T = TypeVar("T")
 
-_KEPT = 32
+_CACHE_SIZE = 32
 
 
 class Line(NamedTuple):
-    """A curve: abscissa (s or cm), ordinate in the units of the figures."""
+    """A curve: abscissa (s or cm), and ordinate in the units of the figures."""
 
     x: Array
     y: Array
 
 
 class Scores(NamedTuple):
-    """How far waveform, vessel and period lie from the training data; 1 is its edge."""
+    """Distances of waveform, vessel and period from the training data; 1 is its edge."""
 
     waveform: float
     vessel: float
@@ -52,26 +52,26 @@ class Panel:
     Attributes
     ----------
     predicted : Line
-        By the model.
+        Prediction of the model.
     low, high : Line or None
-        90 % interval, where it has been computed.
-    tube : Line or None
-        By the 1D solver, where it has been computed.
+        Limits of the 90 % interval, if it has been computed.
+    solver : Line or None
+        Solution of the 1D solver, if it has been computed.
     given : Line or None
-        Inflow or undeformed area, which the prediction starts from.
+        Inflow or undeformed area, the inputs of the prediction.
     """
 
     predicted: Line
     low: Line | None = None
     high: Line | None = None
-    tube: Line | None = None
+    solver: Line | None = None
     given: Line | None = None
 
 
-class Kept(Generic[T]):
-    """Results for the last inputs; an error of the package is a result, too.
+class ResultCache(Generic[T]):
+    """Results for the latest inputs; an error of the package is a result, too.
 
-    One is computed at a time; who asks for a result that is being computed waits for it.
+    One result is computed at a time; a second request for it waits.
     """
 
     def __init__(self, compute: Callable[[Inputs], T]) -> None:
@@ -79,17 +79,17 @@ class Kept(Generic[T]):
         self._results: OrderedDict[Inputs, T | PCNDEError] = OrderedDict()
         self._computing = threading.Lock()
 
-    def look(self, inputs: Inputs) -> T | PCNDEError | None:
-        """Return the result if it is there, at once."""
+    def cached(self, inputs: Inputs) -> T | PCNDEError | None:
+        """Return the result immediately, None if it has not been computed."""
         return self._results.get(inputs)
 
     def __call__(self, inputs: Inputs) -> T:
-        """Return the result, computed if need be.
+        """Return the result, computed if necessary.
 
         Raises
         ------
         PCNDEError
-            What the computation raised.
+            The error that the computation raised.
         """
         with self._computing:
             result = self._results.get(inputs)
@@ -99,7 +99,7 @@ class Kept(Generic[T]):
                 except PCNDEError as error:
                     result = error
                 self._results[inputs] = result
-                if len(self._results) > _KEPT:
+                if len(self._results) > _CACHE_SIZE:
                     self._results.popitem(last=False)
         if isinstance(result, PCNDEError):
             raise result
@@ -107,63 +107,66 @@ class Kept(Generic[T]):
 
 
 class Explorer:
-    """A model, asked for one case at a time.
+    """Predictions of a model, one case at a time.
 
     Parameters
     ----------
     model : PCNDE
-        Computed by the JAX engine, which any thread may call.
+        Model on the JAX engine, which any thread may call.
     samples : int
-        Draws that the interval is made of.
+        Number of samples for the interval.
 
     Attributes
     ----------
     choices : Choices
-        What the controls offer.
-    prediction : Kept of Prediction
-        Without samples; one case.
-    interval : Kept of dict
+        Choices that the controls offer.
+    prediction : ResultCache of Prediction
+        Prediction of one case, without samples.
+    interval : ResultCache of dict
         Limits of 90 % intervals, see :meth:`~pcnde_bridge.Prediction.interval`.
-    tube : Kept of Cases
-        The 1D solver's solution, see :meth:`solver`.
+    solution : ResultCache of Cases
+        Solution of the 1D solver, see :meth:`solver_setup`.
     """
 
     def __init__(self, model: PCNDE, samples: int = 64) -> None:
         self.model = model
         self.samples = samples if model.uncertainty is not None else 0
-        self.choices = Choices.of(model)
-        self.prediction: Kept[Prediction] = Kept(lambda inputs: self._predict(inputs, 0))
-        self.interval: Kept[Limits] = Kept(
+        self.choices = Choices.from_model(model)
+        self.prediction: ResultCache[Prediction] = ResultCache(self._predict)
+        self.interval: ResultCache[Limits] = ResultCache(
             lambda inputs: self._predict(inputs, self.samples).interval(0.9)
         )
-        self.tube: Kept[Cases] = Kept(self._solve)
+        self.solution: ResultCache[Cases] = ResultCache(self._solve)
 
     @property
     def variables(self) -> list[str]:
-        """Names of what the model predicts."""
+        """Names of the variables that the model predicts."""
         return [name for name in QUANTITIES if name != "pressure" or self.model.has_pressure]
 
-    def _predict(self, inputs: Inputs, samples: int) -> Prediction:
+    def _predict(self, inputs: Inputs, samples: int = 0) -> Prediction:
         grid = self.model.grid
-        inflow = inputs.waveform.samples(grid.time.size)
-        area = inputs.vessel.area_undeformed(grid.z - grid.z[0])
+        place: dict[str, Any] = {}
         if self.model.any_grid:
-            period = inputs.waveform.period
-            return self.model.predict(inflow, area, z=grid.z, period=period, samples=samples)
-        return self.model.predict(inflow, area, samples=samples)
+            place = {"z": grid.z, "period": inputs.waveform.period}
+        return self.model.predict(
+            inputs.waveform.samples(grid.time.size),
+            inputs.vessel.area_undeformed(grid.z - grid.z[0]),
+            samples=samples,
+            **place,
+        )
 
-    def solver(self, inputs: Inputs) -> tuple[Tube1D, Windkessel]:
-        """1D solver with what the model has learnt of wall and outlet.
+    def solver_setup(self, inputs: Inputs) -> tuple[Tube1D, Windkessel]:
+        """Return the 1D solver and an outlet with the wall and outlet that the model has learned.
 
-        A linear wall, undeformed where the model's is, as stiff as the model's in the
-        healthy vessel, and the model's outlet.  A model that is not of the preset
-        ``physics`` has neither: then the paper's artery, with the resistance that the
-        predicted outlet flow and pressure make.
+        The wall is linear, undeformed at the model's reference pressure, and as stiff as
+        the model's in the healthy vessel.  A model of another preset than ``physics`` has
+        no wall and outlet: the wall is then the paper's, and the resistance follows from
+        the predicted flow and pressure at the outlet.
 
         Parameters
         ----------
         inputs : Inputs
-            Of the prediction.
+            Inputs of the prediction.
         """
         known = self.model.parameters
         if not isinstance(known, ClosureParameters):
@@ -173,23 +176,19 @@ class Explorer:
         membrane = len(known.wall) == 5
         radius = inputs.vessel.diameter / 2
         stiffness = float(known.wall[0]) / (radius if membrane else 1.0)
-        # Of E, h and r₀ the linear law takes 4/3·E·h/r₀ alone.
+        # The linear law depends on E, h and r₀ through 4/3·E·h/r₀ only.
         wall = LinearWall(0.75 * stiffness, radius, radius, float(known.wall[-1]))
-        proximal, distal, capacitance, pressure = (float(value) for value in known.outlet)
-        return Tube1D(wall=wall), Windkessel(proximal, distal, capacitance, pressure)
+        return Tube1D(wall=wall), Windkessel(*(float(value) for value in known.outlet))
 
     def _solve(self, inputs: Inputs) -> Cases:
-        tube, outlet = self.solver(inputs)
+        tube, outlet = self.solver_setup(inputs)
         return tube.simulate([inputs.vessel], [inputs.waveform], outlet)
 
     def novelty(self, inputs: Inputs) -> Scores | None:
-        """Scores of the inputs, as the prediction has them; None if the model has none."""
+        """Return the novelty scores of the inputs; None if the model has no training data."""
         found = self.prediction(inputs)
-        scores = self.model.novelty_scores(
-            found.flow[:, :, 0],
-            found.area_undeformed,
-            Grid(found.time, found.z, found.period),
-        )
+        grid = Grid(found.time, found.z, found.period)
+        scores = self.model.novelty_scores(found.flow[:, :, 0], found.area_undeformed, grid)
         if not scores:
             return None
         named = scores["inflow"], scores["undeformed area"], scores["period"]
@@ -199,67 +198,57 @@ class Explorer:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""
         return self._predict(inputs, self.samples).to_frame().to_csv(index=False)
 
-    def along(self, inputs: Inputs, instant: int) -> dict[str, Panel]:
-        """Curves along the vessel at an instant of the model's grid; what is ready is shown."""
+    def along(self, inputs: Inputs, time_index: int) -> dict[str, Panel]:
+        """Return the curves along the vessel at a time point of the model's grid.
+
+        Interval and solution are included if they have been computed.
+        """
         found = self.prediction(inputs)
-        z = found.z
+        time, start = found.time[time_index], found.z[0]
 
-        def tube(cases: Cases, name: str) -> Line:
-            time = found.time[instant]
-            values = _periodic(time, cases.time, getattr(cases, name)[0], cases.period)
-            return Line(cases.z + z[0], values)
+        def solved(cases: Cases, values: Array) -> Line:
+            y = [np.interp(time, cases.time, at_z, period=cases.period) for at_z in values.T]
+            return Line(cases.z + start, np.array(y))
 
-        panels = self._panels(inputs, z, np.s_[0, instant, :], tube)
-        s_u = QUANTITIES["area"].convert(found.area_undeformed[0])
-        return _given(panels, "area", Line(z, s_u))
+        given = {"area": found.area_undeformed[0]}
+        return self._panels(inputs, found.z, np.s_[0, time_index, :], solved, given)
 
-    def over(self, inputs: Inputs, point: int) -> dict[str, Panel]:
-        """Curves over one cycle at a point of the model's grid; what is ready is shown."""
+    def over(self, inputs: Inputs, z_index: int) -> dict[str, Panel]:
+        """Return the curves over one cycle at a point of the model's grid.
+
+        Interval and solution are included if they have been computed.
+        """
         found = self.prediction(inputs)
-        time = found.time
+        z = found.z[z_index] - found.z[0]
 
-        def tube(cases: Cases, name: str) -> Line:
-            place = found.z[point] - found.z[0]
-            values = [np.interp(place, cases.z, row) for row in getattr(cases, name)[0]]
-            return Line(cases.time, np.array(values))
+        def solved(cases: Cases, values: Array) -> Line:
+            return Line(cases.time, np.array([np.interp(z, cases.z, row) for row in values]))
 
-        panels = self._panels(inputs, time, np.s_[0, :, point], tube)
-        return _given(panels, "flow", Line(time, QUANTITIES["flow"].convert(found.flow[0, :, 0])))
+        given = {"flow": found.flow[0, :, 0]}
+        return self._panels(inputs, found.time, np.s_[0, :, z_index], solved, given)
 
     def _panels(
         self,
         inputs: Inputs,
         x: Array,
-        where: tuple[int | slice, ...],
-        tube: Callable[[Cases, str], Line],
+        cut: tuple[int | slice, ...],
+        solved: Callable[[Cases, Array], Line],
+        given: Mapping[str, Array],
     ) -> dict[str, Panel]:
         values = self.prediction(inputs).variables()
-        limits, cases = self.interval.look(inputs), self.tube.look(inputs)
+        limits, cases = self.interval.cached(inputs), self.solution.cached(inputs)
         panels = {}
         for name in self.variables:
-            factor = QUANTITIES[name][2]
-            low = high = solved = None
+            convert = QUANTITIES[name].convert
+            curves = {"predicted": Line(x, convert(values[name][cut]))}
             if isinstance(limits, Mapping):
-                low, high = (Line(x, limit[where] * factor) for limit in limits[name])
+                low, high = limits[name]
+                curves["low"], curves["high"] = (
+                    Line(x, convert(limit[cut])) for limit in (low, high)
+                )
             if isinstance(cases, Cases):
-                line = tube(cases, name)
-                solved = Line(line.x, line.y * factor)
-            panels[name] = Panel(Line(x, values[name][where] * factor), low, high, solved)
+                curves["solver"] = solved(cases, convert(getattr(cases, name)[0]))
+            if name in given:
+                curves["given"] = Line(x, convert(given[name]))
+            panels[name] = Panel(**curves)
         return panels
-
-
-def _given(panels: dict[str, Panel], name: str, line: Line) -> dict[str, Panel]:
-    panel = panels[name]
-    known = Panel(panel.predicted, panel.low, panel.high, panel.tube, line)
-    return {**panels, name: known}
-
-
-def _periodic(at: float, time: Array, values: Array, period: float) -> Array:
-    """Row of (time, z) at an instant, linear between the rows; the first follows the last."""
-    step = period / len(time)
-    place = (at - time[0]) / step
-    before = int(np.floor(place))
-    part = place - before
-    n = len(time)
-    row: Array = (1 - part) * values[before % n] + part * values[(before + 1) % n]
-    return row

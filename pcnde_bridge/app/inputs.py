@@ -1,6 +1,6 @@
-"""What a user of the page chooses: a vessel and a waveform, and how far they may go.
+"""Inputs that a user of the page chooses: a vessel and a waveform, with their limits.
 
-The controls reach somewhat beyond the training data, as far as the model knows these.
+The controls extend somewhat beyond the training data, as far as the model knows them.
 """
 
 from __future__ import annotations
@@ -17,53 +17,47 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.synthetic import BLOCKAGES
-from pcnde_bridge.hemodynamics.waveform import (
-    DATA_FACTORS,
-    Waveform,
-    coronary,
-)
+from pcnde_bridge.hemodynamics.waveform import DATA_FACTORS, Waveform, coronary
 from pcnde_bridge.io.input_tables import read_cycle
 from pcnde_bridge.model.pcnde import PCNDE
 
-_BEYOND = 0.25  # of the training range, on either side
-_SHORTEST, _LONGEST = 0.2, 1.0  # stenoses, cm; 0.16 is what the 1D solver's grid resolves
-_MARGIN = 0.1  # between a stenosis and the ends, cm
-_HEALTHY = 0.01
+_EXTENSION = 0.25  # of a control on either side, relative to the training range
+_SHORTEST, _LONGEST = 0.2, 1.0  # stenosis, cm; the 1D solver's grid resolves 0.16 cm
+_MARGIN = 0.1  # between a stenosis and the ends of the vessel, cm
+_HEALTHY = 0.01  # blockage below which a vessel has no stenosis
 
 
 class Span(NamedTuple):
-    """Values of one control.
+    """Limits, step and initial value of one control.
 
     Attributes
     ----------
-    least, most : float
-        Limits of the control.
-    low, high : float
-        Limits of the training data.
+    minimum, low, high, maximum : float
+        Limits of the control, and of the training data between them.
     step : float
-        Of the control.
+        Step of the control.
     start : float
-        Where the control stands at first.
+        Initial value of the control.
     """
 
-    least: float
+    minimum: float
     low: float
     high: float
-    most: float
+    maximum: float
     step: float
     start: float
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """One choice, from which everything on the page follows.
+    """One choice, which determines everything on the page.
 
     Attributes
     ----------
     vessel : Vessel
-        With one stenosis, or none.
+        Vessel with one stenosis or none.
     waveform : Waveform
-        At the inlet.
+        Flow at the inlet.
     """
 
     vessel: Vessel
@@ -72,62 +66,62 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Choices:
-    """What the page's controls offer for a model.
+    """Choices that the controls offer for a model.
 
     Attributes
     ----------
     base : Waveform
         The strongest waveform of the training data, which the scale multiplies.
-    tube : Vessel
-        The healthy vessel.
+    healthy : Vessel
+        Vessel without stenosis.
     scale, blockage, position, length : Span
-        Factor of the waveform's oscillation; blocked fraction of the area; the stenosis'
-        throat, cm from the inlet, and its length, cm.
-    known : bool
-        Whether the limits of the training data are the model's own; a model that does
-        not hold them gets those of the synthetic data set.
+        Factor of the waveform's oscillation; blocked fraction of the area; throat of the
+        stenosis, cm from the inlet, and its length, cm.
+    from_training : bool
+        Whether the limits are those of the training data; a model without them gets the
+        limits of the synthetic data set.
     any_grid : bool
-        Whether position and length may be chosen.
+        Whether position and length can be chosen.
     """
 
     base: Waveform
-    tube: Vessel
+    healthy: Vessel
     scale: Span
     blockage: Span
     position: Span
     length: Span
-    known: bool
+    from_training: bool
     any_grid: bool
 
     @classmethod
-    def of(cls, model: PCNDE) -> Choices:
-        """Take what the model knows of its training data."""
+    def from_model(cls, model: PCNDE) -> Choices:
+        """Derive the choices from the model's record of its training data."""
         z = model.grid.z - model.grid.z[0]
-        long = float(z[-1])
+        end = float(z[-1])
         period, n_times = model.grid.period, model.grid.time.size
         if model.novelty is None:
             base, factors = coronary(period), (min(DATA_FACTORS), max(DATA_FACTORS))
-            tube, blockages = Vessel(length=long), BLOCKAGES
-            throat, length = long / 2, min(0.5, long / 4)
+            healthy, blockages = Vessel(length=end), BLOCKAGES
+            throat, length = end / 2, min(0.5, end / 4)
         else:
             base, factors = _strongest(model.novelty.inflow_ends(n_times), period)
-            tube, blockages, throat, length = _stenosed(z, model.novelty.area_ends(z))
-        longest = max(length, min(_LONGEST, long / 2))
+            healthy, blockages, throat, length = _stenosis(z, model.novelty.area_ends(z))
+        longest = max(length, min(_LONGEST, end / 2))
         reach = longest / 2 + _MARGIN
         return cls(
             base,
-            tube,
-            _span(*factors, 0.05),
-            _span(*blockages, 0.005, 0.0, 0.95),
-            _span(throat, throat, 0.05, min(reach, throat), max(long - reach, throat), whole=True),
-            _span(length, length, 0.05, min(_SHORTEST, length), longest, whole=True),
-            model.novelty is not None,
-            model.any_grid,
+            healthy,
+            scale=_around(*factors, 0.05),
+            blockage=_around(*blockages, 0.005, 0.0, 0.95),
+            position=_span(min(reach, throat), throat, throat, max(end - reach, throat), 0.05),
+            length=_span(min(_SHORTEST, length), length, length, longest, 0.05),
+            from_training=model.novelty is not None,
+            any_grid=model.any_grid,
         )
 
     @property
-    def first(self) -> Inputs:
-        """What the controls stand at before anything is chosen."""
+    def initial(self) -> Inputs:
+        """Inputs at the initial values of the controls."""
         return self.inputs(self.blockage.start, self.scale.start)
 
     def inputs(
@@ -138,140 +132,134 @@ class Choices:
         length: float | None = None,
         waveform: Waveform | None = None,
     ) -> Inputs:
-        """Put vessel and waveform together.
+        """Create vessel and waveform from the values of the controls.
 
         Parameters
         ----------
         blockage : float
-            Fraction of the area, in [0, 1).
+            Blocked fraction of the area, in [0, 1).
         scale : float
-            Multiplies the oscillation of the waveform.
+            Factor of the waveform's oscillation.
         position, length : float, optional
-            Of the stenosis, cm; the training data's by default, and always where the
-            model is bound to its grid.
+            Throat and length of the stenosis, cm; the values of the training data by
+            default, and for models that are bound to their grid.
         waveform : Waveform, optional
-            In place of the training data's strongest.
+            Waveform to use instead of the strongest one of the training data.
 
         Raises
         ------
         InputError
-            If a number is not usable.
+            If a number is invalid.
         """
-        free = self.any_grid
-        stenosis = Stenosis(
-            float(blockage),
-            float(position) if free and position is not None else self.position.start,
-            float(length) if free and length is not None else self.length.start,
-        )
-        vessel = Vessel((stenosis,) if blockage else (), self.tube.length, self.tube.diameter)
+        if position is None or not self.any_grid:
+            position = self.position.start
+        if length is None or not self.any_grid:
+            length = self.length.start
+        stenosis = Stenosis(float(blockage), float(position), float(length))
+        healthy = self.healthy
+        vessel = Vessel((stenosis,) if blockage else (), healthy.length, healthy.diameter)
         return Inputs(vessel, (waveform or self.base).scaled(float(scale)))
 
 
 def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, str]:
-    """Read an uploaded waveform, a table as ``pcnde predict --inflow`` takes it.
+    """Read an uploaded waveform, a table as for ``pcnde predict --inflow``.
 
     Parameters
     ----------
     content : bytes
-        CSV: time (s), then a column of Q (mL/s); further columns are not used.
+        CSV: time (s), then a column of Q (mL/s); further columns are ignored.
     name : str
-        Of the file, for messages.
+        Name of the file, for messages.
     model : PCNDE
-        Whose instants the waveform will be brought to.
+        Model to whose time points the waveform will be resampled.
 
     Returns
     -------
     Waveform, str
-        With no more harmonics than the model's instants resolve, and a note in words.
+        Waveform with no more harmonics than the model's time points resolve, and a note
+        for the user.
 
     Raises
     ------
     InputError
-        If it is not such a table, or its period is not that of a model that is bound
-        to its grid.
+        If it is not such a table, or the model is bound to another period.
     """
+    grid = model.grid
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "upload.csv")
         path.write_bytes(content)
         try:
-            period, columns = read_cycle(path, float(model.grid.time[0]), model.grid.period)
+            period, columns = read_cycle(path, float(grid.time[0]), grid.period)
         except PCNDEError as error:
             raise InputError(str(error).replace(str(path), name)) from error
-    resolved = model.grid.time.size
-    if not model.any_grid and not math.isclose(period, model.grid.period, rel_tol=1e-6):
+    if not model.any_grid and not math.isclose(period, grid.period, rel_tol=1e-6):
         raise InputError(
-            f"{name} has a period of {period:g} s, but this model works at "
-            f"{model.grid.period:g} s only; a model of the preset physics takes any."
+            f"{name} has a period of {period:g} s, but this model works at {grid.period:g} s "
+            "only; use a model of the preset physics for other periods."
         )
-    flow = columns.iloc[:, 0].to_numpy(dtype=np.float64)
+    flow, resolved = columns.iloc[:, 0].to_numpy(dtype=np.float64), grid.time.size
+    n_terms = None if flow.size <= resolved else (resolved - 1) // 2
     try:
-        waveform = Waveform.from_samples(
-            flow, period=period, n_terms=None if flow.size <= resolved else (resolved - 1) // 2
-        )
+        waveform = Waveform.from_samples(flow, period=period, n_terms=n_terms)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    note = f"{name}: {flow.size} instants over {period:g} s, mean {waveform.mean:.3g} mL/s"
+    note = f"{name}: {flow.size} time points over {period:g} s, mean {waveform.mean:.3g} mL/s"
     if flow.size != resolved:
-        note += f", brought to the model's {resolved} instants"
+        note += f", resampled to the model's {resolved} time points"
     if columns.shape[1] > 1:
         note += f"; the first of {columns.shape[1]} waveforms"
     return waveform, note + "."
 
 
 def _strongest(ends: Array, period: float) -> tuple[Waveform, tuple[float, float]]:
-    """Waveform of the training data with the largest oscillation, and the others' factors."""
+    """Return the waveform with the largest oscillation, and the range of the factors."""
     oscillation = ends - ends.mean(axis=1, keepdims=True)
     size = np.linalg.norm(oscillation, axis=1)
-    most = int(size.argmax())
-    base = Waveform.from_samples(ends[most], period=period, n_terms=None)
-    if size[most] <= 1e-9 * np.abs(ends).max():  # steady flow
+    largest = int(size.argmax())
+    base = Waveform.from_samples(ends[largest], period=period, n_terms=None)
+    if size[largest] <= 1e-9 * np.abs(ends).max():  # steady flow
         return base, (0.0, 1.0)
-    factors = oscillation @ oscillation[most] / size[most] ** 2
+    factors = oscillation @ oscillation[largest] / size[largest] ** 2
     return base, (float(factors.min()), float(factors.max()))
 
 
-def _stenosed(z: Array, ends: Array) -> tuple[Vessel, tuple[float, float], float, float]:
-    """Healthy vessel, smallest and largest blockage, throat and length of the stenosis.
+def _stenosis(z: Array, ends: Array) -> tuple[Vessel, tuple[float, float], float, float]:
+    """Return the healthy vessel, range of blockages, and throat and length of the stenosis.
 
-    The narrowing of :mod:`pcnde_bridge.hemodynamics.geometry` is half as deep at a quarter of its
-    length from the throat; other shapes are taken as if they were of this one.
+    The stenosis of :mod:`pcnde_bridge.hemodynamics.geometry` has half its depth at a quarter
+    of its length from the throat; other shapes are treated as if they were of this one.
     """
-    # The end slices of 3D vessels can be a little off, so that the inlet's area will not do.
+    # The end slices of 3D vessels can be inaccurate, so the inlet area is not used.
     healthy = np.median(ends, axis=1)
     blockages = 1.0 - ends.min(axis=1) / healthy
-    narrow = ends[int(blockages.argmax())]
-    tube = Vessel(length=float(z[-1]), diameter=2.0 * math.sqrt(float(healthy[0]) / math.pi))
+    narrowest = ends[int(blockages.argmax())]
+    vessel = Vessel(length=float(z[-1]), diameter=2.0 * math.sqrt(float(healthy[0]) / math.pi))
     if blockages.max() < _HEALTHY:
-        return tube, (0.0, 0.0), tube.length / 2, min(0.5, tube.length / 4)
-    radius = np.sqrt(narrow / math.pi)
+        return vessel, (0.0, 0.0), vessel.length / 2, min(0.5, vessel.length / 4)
+    radius = np.sqrt(narrowest / math.pi)
     position = round(float(z[radius.argmin()]), 3)
-    fine = np.linspace(0.0, tube.length, 4001)
-    wide = fine[np.interp(fine, z, radius) >= (tube.diameter / 2 + radius.min()) / 2]
+    fine = np.linspace(0.0, vessel.length, 4001)
+    wide = fine[np.interp(fine, z, radius) >= (vessel.diameter / 2 + radius.min()) / 2]
     start = float(wide[wide < position].max(initial=0.0))
-    end = float(wide[wide > position].min(initial=tube.length))
-    room = 2.0 * min(position, tube.length - position)
-    length = min(round(2.0 * (end - start), 2), room)
+    end = float(wide[wide > position].min(initial=vessel.length))
+    longest = 2.0 * min(position, vessel.length - position)
     low, high = (float(round(max(b, 0.0), 3)) for b in (blockages.min(), blockages.max()))
-    return tube, (low, high), position, length
+    return vessel, (low, high), position, min(round(2.0 * (end - start), 2), longest)
 
 
-def _span(
-    low: float,
-    high: float,
-    step: float,
-    floor: float = -math.inf,
-    ceiling: float = math.inf,
-    *,
-    whole: bool = False,
+def _around(
+    low: float, high: float, step: float, floor: float = -math.inf, ceiling: float = math.inf
 ) -> Span:
-    """Control about a training range: somewhat beyond it, or all between floor and ceiling."""
-    beyond = _BEYOND * (high - low) or _BEYOND
-    least = floor if whole else max(floor, low - beyond)
-    most = ceiling if whole else min(ceiling, high + beyond)
-    # On multiples of the step, so that the control shows round numbers.
-    least = min(math.ceil(round(least / step, 6)) * step, low)
-    most = max(math.floor(round(most / step, 6)) * step, high)
+    """Create a control that extends beyond a training range, within a floor and a ceiling."""
+    beyond = _EXTENSION * (high - low) or _EXTENSION
+    return _span(max(floor, low - beyond), low, high, min(ceiling, high + beyond), step)
+
+
+def _span(minimum: float, low: float, high: float, maximum: float, step: float) -> Span:
+    """Create a control whose values are multiples of the step, so that it shows round numbers."""
+    minimum = min(math.ceil(round(minimum / step, 6)) * step, low)
+    maximum = max(math.floor(round(maximum / step, 6)) * step, high)
     start = low + 0.75 * (high - low)
     if high > low:
         start = round(start / step) * step
-    return Span(*(round(value, 6) for value in (least, low, high, most, step, start)))
+    return Span(*(round(value, 6) for value in (minimum, low, high, maximum, step, start)))

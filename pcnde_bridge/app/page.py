@@ -1,4 +1,4 @@
-"""How the page looks: its controls and its two columns of graphs."""
+"""Layout of the page: its controls and its two columns of graphs."""
 
 from __future__ import annotations
 
@@ -6,203 +6,159 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dash import Patch, dcc, html
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from pcnde_bridge.app.explorer import (
-    Explorer,
-    Line,
-    Panel,
-)
+from pcnde_bridge._typing import Array
+from pcnde_bridge.app.explorer import Explorer, Line, Panel
 from pcnde_bridge.app.inputs import Choices, Span
-from pcnde_bridge.plots.style import (
-    PREDICTED,
-    QUANTITIES,
-    TRUTH,
-)
+from pcnde_bridge.plots.style import PREDICTED, QUANTITIES, SPACE_LABEL, TIME_LABEL, TRUTH
 
-BAND, GIVEN, TUBE, CURVE = range(4)
+INTERVAL, GIVEN, SOLVER, PREDICTION = range(4)
 """Order of the traces of a panel."""
 
 LARGEST_UPLOAD = 1_000_000
-"""Bytes."""
+"""Largest size of an uploaded file, bytes."""
 
-_DIGITS = 6
-_INK, _RULE = "#1f2933", "#e4e7eb"
-_BAND_COLOUR = "rgba(0, 114, 178, 0.22)"
-_GIVEN_COLOUR = "#6b7280"
-_EMPTY: list[float] = []
-NOTHING = Panel(Line(np.empty(0), np.empty(0)))
+NO_CURVES = Panel(Line(np.empty(0), np.empty(0)))
 """Panel without curves."""
 
+_DIGITS = 6
+_INK, _RULE, _AXIS = "#1f2933", "#e4e7eb", "#9aa5b1"
+_EMPTY: list[float] = []
+_SLIDER: dict[str, Any] = {"marks": None, "updatemode": "drag", "included": False}
+
 _TRACES: tuple[dict[str, Any], ...] = (
-    {"name": "90 % interval", "fill": "toself", "fillcolor": _BAND_COLOUR}
+    {"name": "90 % interval", "fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.22)"}
     | {"line": {"width": 0}, "hoverinfo": "skip"},
-    {"name": "given", "line": {"color": _GIVEN_COLOUR, "width": 1.5, "dash": "dot"}},
+    {"name": "given", "line": {"color": "#6b7280", "width": 1.5, "dash": "dot"}},
     {"name": "1D solver", "line": {"color": TRUTH, "width": 2, "dash": "dash"}},
     {"name": "prediction", "line": {"color": PREDICTED, "width": 2.5}},
 )
 
 
 def layout(explorer: Explorer, name: str) -> html.Div:
-    """Page of a model.
+    """Create the page of a model.
 
     Parameters
     ----------
     explorer : Explorer
-        Its choices and variables are laid out.
+        Model with its choices and variables.
     name : str
-        Of the model, for the heading.
+        Name of the model, for the heading.
     """
     model, choices = explorer.model, explorer.choices
     n_times, n_points = model.grid.time.size, model.grid.z.size
     cases = model.provenance.get("cases")
     facts = f"trained on {cases} cases, " if cases else ""
-    facts += f"{n_times} instants × {n_points} points"
-    peak = int(choices.first.waveform.samples(n_times).argmax())
+    facts += f"{n_times} time points × {n_points} grid points"
+    peak = int(choices.initial.waveform.samples(n_times).argmax())
+    units = html.Small("units s, cm, mL/s, cm², dyn/cm²")
+    aside = [
+        html.Div(id="novelty", role="status"),
+        html.Div(id="message", role="alert"),
+        *_controls(choices),
+        _comparison(explorer),
+        html.Button(["Download prediction (CSV)", units], id="download", n_clicks=0),
+    ]
+    columns = [
+        _column(explorer, "along", SPACE_LABEL, "time-point", n_times, peak),
+        # 90 % of the length, as in the paper's figures.
+        _column(explorer, "over", TIME_LABEL, "grid-point", n_points, round(0.9 * n_points)),
+    ]
     return html.Div(
         [
             html.Header([html.H1("PCNDE"), html.Strong(name), html.Span(facts)]),
             html.Main(
                 [
-                    html.Aside(
-                        [
-                            html.Div(id="novelty", role="status"),
-                            html.Div(id="message", role="alert"),
-                            *_controls(choices),
-                            _beside(explorer),
-                            html.Button(
-                                [
-                                    "Download prediction (CSV)",
-                                    html.Small("units s, cm, mL/s, cm², dyn/cm²"),
-                                ],
-                                id="download",
-                                n_clicks=0,
-                            ),
-                        ]
-                    ),
-                    html.Section(
-                        [
-                            _legend(explorer),
-                            html.Div(
-                                [
-                                    _column(explorer, "along", "instant", n_times, peak),
-                                    # 90 % of the length, as in the paper's figures.
-                                    _column(
-                                        explorer, "over", "point", n_points, round(0.9 * n_points)
-                                    ),
-                                ],
-                                className="columns",
-                            ),
-                        ]
-                    ),
+                    html.Aside(aside),
+                    html.Section([_legend(explorer), html.Div(columns, className="columns")]),
                 ]
             ),
-            dcc.Store(id="waveform"),
-            dcc.Store(id="rested"),
-            dcc.Store(id="interval"),
-            dcc.Store(id="tube"),
-            dcc.Store(id="done"),
+            *(dcc.Store(id=key) for key in ("waveform", "settled", "interval", "solver", "done")),
             dcc.Download(id="csv"),
         ],
         id="page",
     )
 
 
+def _group(title: str, *children: Any) -> html.Div:
+    return html.Div([html.H2(title), *children], className="group")
+
+
 def _controls(choices: Choices) -> list[html.Div]:
-    inside = "training" if choices.known else "usual"
-    length, position = choices.length, choices.position
+    source = "training" if choices.from_training else "usual"
+    stenosis = [
+        _slider("position", "Throat of the stenosis, z (cm)", choices.position, source),
+        _slider("length", "Length of the stenosis (cm)", choices.length, source),
+    ]
+    upload = dcc.Upload(
+        ["Upload a waveform (CSV)", html.Small("columns time (s), flow (mL/s)")],
+        id="upload",
+        className="upload",
+        className_active="upload active",
+        className_reject="upload",
+        max_size=LARGEST_UPLOAD,
+    )
     return [
-        html.Div(
-            [
-                html.H2("Vessel"),
-                _slider("blockage", "Blockage, area (%)", choices.blockage, inside, 100),
-                html.Div(
-                    [
-                        _slider("position", "Throat of the stenosis, z (cm)", position, inside),
-                        _slider("length", "Length of the stenosis (cm)", length, inside),
-                    ],
-                    hidden=not choices.any_grid,
-                ),
-            ],
-            className="group",
+        _group(
+            "Vessel",
+            _slider("blockage", "Blockage, area (%)", choices.blockage, source, 100),
+            html.Div(stenosis, hidden=not choices.any_grid),
         ),
-        html.Div(
-            [
-                html.H2("Inflow"),
-                _slider("scale", "Oscillation, factor", choices.scale, inside),
-                dcc.Upload(
-                    ["Upload a waveform (CSV)", html.Small("columns time (s), flow (mL/s)")],
-                    id="upload",
-                    className="upload",
-                    className_active="upload active",
-                    className_reject="upload",
-                    max_size=LARGEST_UPLOAD,
-                ),
-                html.P(base_note(choices), id="uploaded", className="hint"),
-                html.Button("Back to the built-in waveform", id="reset", n_clicks=0, hidden=True),
-            ],
-            className="group",
+        _group(
+            "Inflow",
+            _slider("scale", "Oscillation, factor", choices.scale, source),
+            upload,
+            html.P(waveform_note(choices), id="uploaded", className="hint"),
+            html.Button("Restore the initial waveform", id="reset", n_clicks=0, hidden=True),
         ),
     ]
 
 
-def base_note(choices: Choices) -> str:
-    """Say which waveform the scale multiplies when none is uploaded."""
-    which = "strongest of the training data" if choices.known else "built-in coronary one"
-    return f"Scale 1 is the {which}, mean {choices.base.mean:.3g} mL/s."
+def waveform_note(choices: Choices) -> str:
+    """Describe the waveform that the scale multiplies when none is uploaded."""
+    waveform = (
+        "strongest waveform of the training data"
+        if choices.from_training
+        else "built-in coronary waveform"
+    )
+    return f"Scale 1 is the {waveform}, mean {choices.base.mean:.3g} mL/s."
 
 
-def _slider(name: str, label: str, span: Span, inside: str, factor: float = 1) -> html.Div:
-    least, low, high, most, step, start = (round(factor * value, _DIGITS) for value in span)
-    reach = f"{low:.2g}" if low == high else f"{low:.2g} … {high:.2g}"
+def _slider(name: str, label: str, span: Span, source: str, factor: float = 1) -> html.Div:
+    minimum, low, high, maximum, step, start = (round(factor * v, _DIGITS) for v in span)
+    limits = f"{low:.2g}" if low == high else f"{low:.2g} … {high:.2g}"
+    heading = [
+        html.Label(label, htmlFor=name),
+        html.Small(f"{source} {limits}".replace("-", "−")),
+    ]
     return html.Div(
         [
-            html.Div(
-                [
-                    html.Label(label, htmlFor=name),
-                    html.Small(f"{inside} {reach}".replace("-", "−")),
-                ],
-                className="label",
-            ),
-            dcc.Slider(
-                least,
-                most,
-                step,
-                value=start,
-                id=name,
-                marks=None,
-                updatemode="drag",
-                included=False,
-            ),
+            html.Div(heading, className="label"),
+            dcc.Slider(minimum, maximum, step, value=start, id=name, **_SLIDER),
         ],
         className="control",
     )
 
 
-def _beside(explorer: Explorer) -> html.Div:
-    options = [{"label": "1D solver", "value": "tube"}]
+def _comparison(explorer: Explorer) -> html.Div:
+    options = [{"label": "1D solver", "value": "solver"}]
     if explorer.samples:
         options.insert(0, {"label": "90 % interval", "value": "interval"})
-    return html.Div(
-        [
-            html.H2("Beside the prediction"),
-            dcc.Checklist(
-                options, [option["value"] for option in options], inline=True, id="shown"
-            ),
-            html.P(id="beside", className="hint"),
-        ],
-        className="group",
+    checked = [option["value"] for option in options]
+    return _group(
+        "Compare with",
+        dcc.Checklist(options, checked, inline=True, id="shown"),
+        html.P(id="progress", className="hint"),
     )
 
 
 def _legend(explorer: Explorer) -> html.Div:
-    entries = [("curve", "prediction (PCNDE)")]
-    if explorer.samples:
-        entries.append(("band", "90 % interval"))
-    entries += [("tube", "1D solver"), ("given", "given: inflow, undeformed area")]
+    entries = [("prediction", "prediction (PCNDE)")]
+    entries += [("interval", "90 % interval")] if explorer.samples else []
+    entries += [("solver", "1D solver"), ("given", "given: inflow, undeformed area")]
     return html.Div(
         [
             html.Span([html.I(className=f"key {kind}"), text], className="entry")
@@ -212,42 +168,26 @@ def _legend(explorer: Explorer) -> html.Div:
     )
 
 
-def _column(explorer: Explorer, name: str, control: str, count: int, start: int) -> html.Div:
-    return html.Div(
-        [
-            html.Div(
-                [
-                    html.H3(id=f"{name}-title"),
-                    dcc.Slider(
-                        0,
-                        count - 1,
-                        1,
-                        value=min(start, count - 1),
-                        id=control,
-                        marks=None,
-                        updatemode="drag",
-                        included=False,
-                        allow_direct_input=False,
-                    ),
-                ],
-                className="place",
-            ),
-            dcc.Graph(
-                id=name,
-                figure=empty_figure(
-                    explorer, "position z (cm)" if name == "along" else "time t (s)"
-                ),
-                responsive=True,
-                config={"displaylogo": False, "displayModeBar": False},
-                className="graph",
-            ),
-        ],
-        className="column",
+def _column(
+    explorer: Explorer, name: str, abscissa: str, control: str, count: int, start: int
+) -> html.Div:
+    value = min(start, count - 1)
+    slider = dcc.Slider(
+        0, count - 1, 1, value=value, id=control, allow_direct_input=False, **_SLIDER
     )
+    graph = dcc.Graph(
+        id=name,
+        figure=empty_figure(explorer, abscissa),
+        responsive=True,
+        config={"displaylogo": False, "displayModeBar": False},
+        className="graph",
+    )
+    heading = html.Div([html.H3(id=f"{name}-title"), slider], className="place")
+    return html.Div([heading, graph], className="column")
 
 
 def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
-    """One panel for each variable, one below the other, with empty traces."""
+    """Create a figure with a panel for each variable, one below the other, without curves."""
     names = explorer.variables
     figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.05)
     for row, name in enumerate(names, start=1):
@@ -255,12 +195,11 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
             figure.add_trace(go.Scatter(x=_EMPTY, y=_EMPTY, mode="lines", **trace), row=row, col=1)
         figure.update_yaxes(title_text=QUANTITIES[name].label, row=row, col=1)
     figure.update_xaxes(title_text=abscissa, row=len(names), col=1)
-    figure.update_xaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")
-    figure.update_yaxes(gridcolor=_RULE, zeroline=False, showline=True, linecolor="#9aa5b1")
-    figure.update_yaxes(title_standoff=6, automargin=False, nticks=5)
-    figure.add_shape(
-        type="line", xref="x", yref="paper", x0=0, x1=0, y0=0, y1=1, layer="below"
-    ).update_shapes(line={"color": "#9aa5b1", "width": 1, "dash": "dot"})
+    axis = {"gridcolor": _RULE, "zeroline": False, "showline": True, "linecolor": _AXIS}
+    figure.update_xaxes(**axis)
+    figure.update_yaxes(**axis, title_standoff=6, automargin=False, nticks=5)
+    marker = {"type": "line", "xref": "x", "yref": "paper", "x0": 0, "x1": 0, "y0": 0, "y1": 1}
+    figure.add_shape(**marker, layer="below", line={"color": _AXIS, "width": 1, "dash": "dot"})
     figure.update_layout(
         template="none",
         showlegend=False,
@@ -269,42 +208,47 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
         paper_bgcolor="white",
         plot_bgcolor="white",
         hovermode="x",
-        uirevision="kept",  # a zoom stays when the curves change
+        uirevision="constant",  # a zoom stays when the curves change
     )
     return figure
 
 
-def redraw(panels: Mapping[str, Panel], mark: float, shown: Mapping[int, bool]) -> Patch:
-    """Change an :func:`empty_figure` to show these curves, and nothing else of it.
+def redraw(panels: Mapping[str, Panel], marker: float, shown: Mapping[int, bool]) -> Patch:
+    """Return the changes of an :func:`empty_figure` that make it show these curves.
 
     Parameters
     ----------
     panels : mapping of str to Panel
-        In the order of the figure's rows.
-    mark : float
+        Panels in the order of the figure's rows.
+    marker : float
         Abscissa of the vertical line.
     shown : mapping of int to bool
-        Traces that are not wanted.
+        Whether each trace is shown; traces that are not listed are.
     """
     patch = Patch()
     for row, panel in enumerate(panels.values()):
-        band = None
+        interval = None
         if panel.low is not None and panel.high is not None:
-            band = Line(
+            interval = Line(
                 np.concatenate([panel.low.x, panel.high.x[::-1]]),
                 np.concatenate([panel.low.y, panel.high.y[::-1]]),
             )
-        lines = {BAND: band, GIVEN: panel.given, TUBE: panel.tube, CURVE: panel.predicted}
+        lines = {
+            INTERVAL: interval,
+            GIVEN: panel.given,
+            SOLVER: panel.solver,
+            PREDICTION: panel.predicted,
+        }
         for kind, line in lines.items():
             trace = patch["data"][len(_TRACES) * row + kind]
-            hidden = line is None or not shown.get(kind, True)
-            trace["x"] = _EMPTY if hidden or line is None else _numbers(line.x)
-            trace["y"] = _EMPTY if hidden or line is None else _numbers(line.y)
-    patch["layout"]["shapes"][0]["x0"] = patch["layout"]["shapes"][0]["x1"] = mark
+            visible = line if shown.get(kind, True) else None
+            trace["x"] = _EMPTY if visible is None else _rounded(visible.x)
+            trace["y"] = _EMPTY if visible is None else _rounded(visible.y)
+    patch["layout"]["shapes"][0]["x0"] = patch["layout"]["shapes"][0]["x1"] = marker
     return patch
 
 
-def _numbers(values: npt.NDArray[np.float64]) -> list[float]:
-    """Round far below what is seen, so that little is sent."""
-    rounded: list[float] = np.round(values, _DIGITS).tolist()
-    return rounded
+def _rounded(values: Array) -> list[float]:
+    """Round far below the visible differences, so that little is sent."""
+    numbers: list[float] = np.round(values, _DIGITS).tolist()
+    return numbers

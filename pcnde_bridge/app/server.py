@@ -1,4 +1,4 @@
-"""Who may reach the page: this machine alone, and no other page through its browser."""
+"""Server of the page, which only this machine and no other site can reach."""
 
 from __future__ import annotations
 
@@ -20,23 +20,21 @@ if TYPE_CHECKING:
     from werkzeug.serving import BaseWSGIServer
 
 ADDRESS = "127.0.0.1"
-"""The page listens nowhere else."""
+"""Only address at which the server listens."""
 
 HOSTS = ("127.0.0.1", "localhost")
-"""Names under which it answers."""
-
-_MISSING = 'The page needs packages that are not installed: pip install "pcnde-bridge[app]".'
+"""Host names to which the server answers."""
 
 
 def make_app(model: PCNDE, name: str) -> Dash:
-    """Page of a model, with its callbacks and guards.
+    """Create the page of a model, with its callbacks and access checks.
 
     Parameters
     ----------
     model : PCNDE
-        Computed by the JAX engine.
+        Model on the JAX engine.
     name : str
-        Of the model, for the heading.
+        Name of the model, for the heading.
 
     Raises
     ------
@@ -44,15 +42,17 @@ def make_app(model: PCNDE, name: str) -> Dash:
         If the extra ``app`` is not installed.
     """
     if find_spec("dash") is None:
-        raise PCNDEError(_MISSING)
+        raise PCNDEError(
+            'The page needs packages that are not installed: pip install "pcnde-bridge[app]".'
+        )
     from dash import Dash
 
     from pcnde_bridge.app import callbacks, page
     from pcnde_bridge.app.explorer import Explorer
 
     explorer = Explorer(model)
-    with contextlib.suppress(PCNDEError):  # the page says it
-        explorer.prediction(explorer.choices.first)  # compiles, so that the page need not wait
+    with contextlib.suppress(PCNDEError):  # the page shows the error
+        explorer.prediction(explorer.choices.initial)  # compiles before the page is opened
     app = Dash(
         __name__,
         assets_folder=str(Path(__file__).with_name("assets")),
@@ -63,29 +63,29 @@ def make_app(model: PCNDE, name: str) -> Dash:
     app.index_string = app.index_string.replace("<html>", '<html lang="en">')
     app.layout = page.layout(explorer, name)
     callbacks.connect(app, explorer)
-    _guard(app)
+    _restrict_access(app)
     return app
 
 
-def _guard(app: Dash) -> None:
-    """Refuse requests that another site has the browser send.
+def _restrict_access(app: Dash) -> None:
+    """Reject requests that another site makes through the browser.
 
-    A site can have its own name lead to this machine (DNS rebinding), but not change the
-    Host that the browser names then; and a browser says from which Origin it posts.
+    A site can let its own name point to this machine (DNS rebinding), but it cannot change
+    the Host header of such a request; and browsers send the Origin of every POST.
     """
     from flask import abort, request
 
-    def only_this_machine() -> None:
+    def check_host() -> None:
         origin = request.headers.get("Origin")
-        if _name(f"//{request.host}") not in HOSTS or (
-            origin is not None and _name(origin) not in HOSTS
+        if _host(f"//{request.host}") not in HOSTS or (
+            origin is not None and _host(origin) not in HOSTS
         ):
             abort(403, "This page is for this machine only; open it as http://127.0.0.1.")
 
-    app.server.before_request(only_this_machine)
+    app.server.before_request(check_host)
 
 
-def _name(url: str) -> str | None:
+def _host(url: str) -> str | None:
     try:
         return urlsplit(url).hostname
     except ValueError:
@@ -93,14 +93,14 @@ def _name(url: str) -> str | None:
 
 
 def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
-    """Server of a model's page, bound and ready; its ``serve_forever`` serves.
+    """Create the server of a model's page, bound to its port; ``serve_forever`` runs it.
 
     Parameters
     ----------
     model, name
         See :func:`make_app`.
     port : int
-        0 takes any free one; the server's ``port`` says which.
+        0 selects any free port; it is the server's ``port``.
 
     Raises
     ------
@@ -113,30 +113,29 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
     from werkzeug import serving
 
     class Handler(serving.WSGIRequestHandler):
-        protocol_version = "HTTP/1.1"  # keeps connections, for quicker answers
+        protocol_version = "HTTP/1.1"  # keeps connections open, for faster answers
 
         def log_request(self, *_: object) -> None:
-            """Say nothing of every request."""
+            """Log nothing, because there are many requests."""
 
-    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bound.bind((ADDRESS, port))
-        bound.listen()
-        return serving.make_server(
-            ADDRESS,
-            bound.getsockname()[1],
-            app.server,
-            threaded=True,
-            request_handler=Handler,
-            fd=bound.fileno(),
-        )
-    except (OSError, OverflowError) as error:
-        raise InputError(
-            f"Port {port} of this machine cannot be used: {error}. Choose another with --port."
-        ) from error
-    finally:
-        bound.close()  # the server has its own copy
+    # Werkzeug would print and exit if the port is taken; a bound socket is handed to it.
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as bound:
+        try:
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.bind((ADDRESS, port))
+            bound.listen()
+            return serving.make_server(
+                ADDRESS,
+                bound.getsockname()[1],
+                app.server,
+                threaded=True,
+                request_handler=Handler,
+                fd=bound.fileno(),  # the server duplicates it
+            )
+        except (OSError, OverflowError) as error:
+            raise InputError(
+                f"Port {port} of this machine cannot be used: {error}. Choose another with --port."
+            ) from error
 
 
 def serve(model: PCNDE, name: str, port: int = 8050) -> None:
@@ -153,7 +152,7 @@ def serve(model: PCNDE, name: str, port: int = 8050) -> None:
         See :func:`make_server`.
     """
     server = make_server(model, name, port)
-    # The page says it itself.
+    # The page itself shows these.
     warnings.filterwarnings("ignore", category=OutsideTrainingWarning)
     logging.getLogger("pcnde_bridge.hemodynamics.solver").setLevel(logging.WARNING)
     print(f"Explore {name} at http://{ADDRESS}:{server.port} (Ctrl-C ends).", flush=True)

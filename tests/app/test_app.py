@@ -34,7 +34,7 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore::pcnde_bridge.uncertainty.novelty.OutsideTrainingWarning"
 )
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FACTORS = {name: factor for name, (*_, factor) in QUANTITIES.items()}
 
 
@@ -78,14 +78,14 @@ def table(time, *columns, header="time,flow"):
 
 
 def test_controls_follow_the_training_data(model):
-    choices = Choices.of(model)
-    assert choices.known
+    choices = Choices.from_model(model)
+    assert choices.from_training
     assert choices.any_grid
     assert choices.base.samples(32) == pytest.approx(waves()[3], abs=1e-9)
     assert (choices.scale.low, choices.scale.high) == pytest.approx((0.25, 1.0))
     assert (choices.blockage.low, choices.blockage.high) == pytest.approx((0.3, 0.7), abs=5e-3)
     assert choices.position.start == 2.0
-    assert choices.tube.diameter == pytest.approx(2 * np.sqrt(0.125 / np.pi), rel=5e-3)
+    assert choices.healthy.diameter == pytest.approx(2 * np.sqrt(0.125 / np.pi), rel=5e-3)
     # Half as deep as the throat where the training vessel is.
     inputs = choices.inputs(0.7, 1.0)
     radius = np.sqrt(VESSELS[3]) - np.sqrt(0.125)
@@ -95,31 +95,31 @@ def test_controls_follow_the_training_data(model):
     ]
     assert share == pytest.approx([0.5, 0.5], abs=0.03)
     for span in (choices.scale, choices.blockage):
-        assert span.least < span.low < span.start < span.high < span.most
+        assert span.minimum < span.low < span.start < span.high < span.maximum
     for span in (choices.position, choices.length):
-        assert span.least < span.low == span.start == span.high < span.most
+        assert span.minimum < span.low == span.start == span.high < span.maximum
 
 
 def test_a_single_training_case_and_an_unknown_one_give_controls(model, bound):
     novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
     steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
-    choices = Choices.of(steady)
-    assert choices.first.waveform.samples(32) == pytest.approx(np.ones(32))
-    assert choices.first.vessel.blockage == 0
-    assert choices.blockage.most > choices.blockage.high == 0
-    choices = Choices.of(bound)
-    assert not choices.known
+    choices = Choices.from_model(steady)
+    assert choices.initial.waveform.samples(32) == pytest.approx(np.ones(32))
+    assert choices.initial.vessel.blockage == 0
+    assert choices.blockage.maximum > choices.blockage.high == 0
+    choices = Choices.from_model(bound)
+    assert not choices.from_training
     assert not choices.any_grid
     # A model that is bound to its points keeps the stenosis where it was.
     assert choices.inputs(0.5, 1, position=1.0, length=0.9) == choices.inputs(0.5, 1)
-    assert Explorer(bound).novelty(choices.first) is None
+    assert Explorer(bound).novelty(choices.initial) is None
 
 
 def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
     choices = explorer.choices
     inside = explorer.novelty(choices.inputs(0.5, 1.0))
     assert inside[0] == pytest.approx(1.0, abs=1e-6)
-    assert explorer.novelty(choices.inputs(0.5, choices.scale.most))[0] > 1.1
+    assert explorer.novelty(choices.inputs(0.5, choices.scale.maximum))[0] > 1.1
     assert explorer.novelty(choices.inputs(0.5, 1.0, position=1.0))[1] > max(1.0, 3 * inside[1])
 
 
@@ -145,13 +145,13 @@ def test_curves_are_the_predictions_and_come_when_they_are_ready(model, explorer
         for panel, x, y in ((along[name], Z, values[5]), (over[name], TIME, values[:, 30])):
             assert np.array_equal(panel.predicted.x, x)
             assert panel.predicted.y == pytest.approx(y, rel=1e-12)
-            assert panel.low is panel.high is panel.tube is None
+            assert panel.low is panel.high is panel.solver is None
     assert along["area"].given.y == pytest.approx(100 * inputs.vessel.area_undeformed(Z))
     assert over["flow"].given.y == pytest.approx(inputs.waveform.samples(32))
 
     limits = predicted(model, inputs, samples=8).interval(0.9)
     explorer.interval(inputs)
-    cases = explorer.tube(inputs)
+    cases = explorer.solution(inputs)
     along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
     for name in ("flow", "area", "pressure"):
         for number, side in enumerate(("low", "high")):
@@ -159,23 +159,23 @@ def test_curves_are_the_predictions_and_come_when_they_are_ready(model, explorer
             assert getattr(along[name], side).y == pytest.approx(limit[5], rel=1e-12)
             assert getattr(over[name], side).y == pytest.approx(limit[:, 30], rel=1e-12)
         solved = getattr(cases, name)[0] * FACTORS[name]
-        # Instant 5 of 32 lies between 15 and 16 of the solver's 100, point 30 of 41 on its 75.
+        # Time point 5 of 32 lies between 15 and 16 of the solver's 100, point 30 of 41 on its 75.
         expected = 0.375 * solved[15] + 0.625 * solved[16]
-        assert along[name].tube.y == pytest.approx(expected, rel=1e-9)
-        assert over[name].tube.y == pytest.approx(solved[:, 75], rel=1e-9)
-    assert explorer.along(other, 5)["flow"].tube is None
-    assert explorer.interval.look(other) is None
+        assert along[name].solver.y == pytest.approx(expected, rel=1e-9)
+        assert over[name].solver.y == pytest.approx(solved[:, 75], rel=1e-9)
+    assert explorer.along(other, 5)["flow"].solver is None
+    assert explorer.interval.cached(other) is None
 
 
 def test_solver_has_the_models_wall_and_outlet(explorer, bound):
-    tube, outlet = explorer.solver(explorer.choices.first)
-    radius = explorer.choices.tube.diameter / 2
+    tube, outlet = explorer.solver_setup(explorer.choices.initial)
+    radius = explorer.choices.healthy.diameter / 2
     assert tube.wall.stiffness == pytest.approx(1.0e6 / radius)
     assert tube.wall.reference_pressure == 2.0e3
     assert (outlet.resistance, outlet.distal_pressure) == (1.0e5, 5.0e3)
     other = Explorer(bound)
-    _, outlet = other.solver(other.choices.first)
-    found = other.prediction(other.choices.first)
+    _, outlet = other.solver_setup(other.choices.initial)
+    found = other.prediction(other.choices.initial)
     q, p = found.flow[0, :, -1], found.pressure[0, :, -1]
     assert outlet.resistance == pytest.approx((p @ q) / (q @ q))
 
@@ -184,10 +184,10 @@ def test_errors_are_kept_and_raised_again(explorer):
     # Flow so strong that no balance is found, or the solver refuses it.
     inputs = explorer.choices.inputs(0.95, 1.0, waveform=Waveform(500.0))
     with pytest.raises(PCNDEError) as first:
-        explorer.tube(inputs)
-    assert explorer.tube.look(inputs) is first.value
+        explorer.solution(inputs)
+    assert explorer.solution.cached(inputs) is first.value
     with pytest.raises(PCNDEError):
-        explorer.tube(inputs)
+        explorer.solution(inputs)
 
 
 def test_download_is_the_predictions_frame(model, explorer):
@@ -204,14 +204,14 @@ def test_download_is_the_predictions_frame(model, explorer):
 def test_uploaded_waveform_is_what_the_command_line_would_take(model, bound):
     waveform, note = read_waveform(table(TIME, waves()[1]), "mine.csv", model)
     assert waveform.samples(32) == pytest.approx(waves()[1], rel=1e-12)
-    assert "mine.csv: 32 instants over 1 s" in note
+    assert "mine.csv: 32 time points over 1 s" in note
     time = 0.8 * np.arange(100) / 100
     two = table(time, waves(time / 0.8)[2], time, header="time,first,second")
     waveform, note = read_waveform(two, "mine.csv", model)
     assert waveform.period == pytest.approx(0.8)
     assert waveform.n_terms == 15
     assert waveform.samples(32) == pytest.approx(waves()[2], rel=1e-9)
-    assert "brought to the model's 32 instants; the first of 2 waveforms" in note
+    assert "resampled to the model's 32 time points; the first of 2 waveforms" in note
     with pytest.raises(InputError, match=r"mine.csv has a period of 0.8 s, but this model works"):
         read_waveform(table(time, time), "mine.csv", bound)
 
@@ -270,7 +270,8 @@ def ask(client, **changes):
     draw = next(callback for callback in known if "along.figure" in callback["output"])
     outputs = [name.rsplit(".", 1) for name in draw["output"].strip(".").split("...")]
     values = {"blockage": 50, "position": 2.0, "length": 0.5, "scale": 1.0, "waveform": None}
-    values |= {"instant": 5, "point": 30, "shown": [], "done": None} | changes
+    values |= {"time-point": 5, "grid-point": 30, "shown": [], "done": None}
+    values |= {name.replace("_", "-"): value for name, value in changes.items()}
     given = [{**where, "value": values[where["id"]]} for where in draw["inputs"]]
     body = {
         "output": draw["output"],
@@ -286,7 +287,7 @@ def test_the_page_says_that_another_period_is_outside(client, explorer):
     waveform, length = explorer.choices.base, explorer.choices.length.start
     for period, look, said in (
         (1.0, "inside", "period 0.00"),
-        (0.8, "outside", "The period is unlike any case"),
+        (0.8, "outside", "The period is unlike any"),
     ):
         changed = dataclasses.asdict(dataclasses.replace(waveform, period=period))
         response = ask(client, length=length, waveform=changed).json["response"]
@@ -296,7 +297,13 @@ def test_the_page_says_that_another_period_is_outside(client, explorer):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"instant": None}, {"point": None}, {"instant": 32}, {"point": 2.5}, {"shown": None}],
+    [
+        {"time_point": None},
+        {"grid_point": None},
+        {"time_point": 32},
+        {"grid_point": 2.5},
+        {"shown": None},
+    ],
 )
 def test_requests_that_the_page_never_makes_are_not_answered(client, changes):
     assert ask(client).status_code == 200
@@ -372,12 +379,12 @@ def chosen(page, control):
 def assert_drawn(bench, page, model, inputs):
     """The curves become what the model predicts, along the vessel and over the cycle."""
     found = predicted(model, inputs)
-    instant, point = int(chosen(page, "instant")), int(chosen(page, "point"))
+    time_point, grid_point = (int(chosen(page, name)) for name in ("time-point", "grid-point"))
 
     def as_predicted():
         for name, factor in FACTORS.items():
             values = getattr(found, name)[0] * factor
-            for column, y in (("along", values[instant]), ("over", values[:, point])):
+            for column, y in (("along", values[time_point]), ("over", values[:, grid_point])):
                 if not np.allclose(drawn(bench, page, column)[name], y, rtol=0, atol=2e-6):
                     return False
         return True
@@ -386,8 +393,8 @@ def assert_drawn(bench, page, model, inputs):
 
 
 def test_moving_a_control_changes_the_curves(bench, page, model):
-    choices = Choices.of(model)
-    assert_drawn(bench, page, model, choices.first)
+    choices = Choices.from_model(model)
+    assert_drawn(bench, page, model, choices.initial)
     before = drawn(bench, page, "along")
     times = bench.move(page, 3)
     print(bench.describe("key to drawn", times["drawn"]))
@@ -399,9 +406,9 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     # What belongs to these inputs comes later.
     bench.wait_for(lambda: bench.settled(page))
     limits = predicted(model, inputs, samples=64).interval(0.9)["pressure"]
-    instant = int(chosen(page, "instant"))
+    time_point = int(chosen(page, "time-point"))
     band = drawn(bench, page, "along", "90 % interval")["pressure"]
-    expected = [limits[0][0, instant], limits[1][0, instant, ::-1]]
+    expected = [limits[0][0, time_point], limits[1][0, time_point, ::-1]]
     assert band == pytest.approx(np.concatenate(expected) * FACTORS["pressure"], abs=2e-6)
     assert len(drawn(bench, page, "over", "1D solver")["flow"]) == 100
 
@@ -415,7 +422,7 @@ def test_novelty_and_its_warning_are_said(bench, page, model):
     bench.wait_for(lambda: novelty.get_attribute("class") == "outside")
     assert "Outside the training data" in novelty.text
     assert "waveform" in novelty.text
-    assert "It extrapolates" in novelty.text
+    assert "The model extrapolates" in novelty.text
 
 
 def test_uploads_are_drawn_or_refused_in_words(bench, page, model, tmp_path):
@@ -426,11 +433,13 @@ def test_uploads_are_drawn_or_refused_in_words(bench, page, model, tmp_path):
     good.write_bytes(table(TIME, 1.1 * waves()[1]))
     blockage = chosen(page, "blockage") / 100
     upload.send_keys(str(bad))
-    bench.wait_for(lambda: "Not taken. bad.csv, line 3, column flow: not a number" in note.text)
+    bench.wait_for(
+        lambda: "The file was rejected. bad.csv, line 3, column flow: not a number" in note.text
+    )
     upload.send_keys(str(good))
-    bench.wait_for(lambda: "good.csv: 32 instants" in note.text)
+    bench.wait_for(lambda: "good.csv: 32 time points" in note.text)
     waveform, _ = read_waveform(good.read_bytes(), "good.csv", model)
-    choices = Choices.of(model)
+    choices = Choices.from_model(model)
     assert_drawn(bench, page, model, choices.inputs(blockage, 1.0, waveform=waveform))
     page.find_element("id", "reset").click()
     assert_drawn(bench, page, model, choices.inputs(blockage, choices.scale.start))
