@@ -28,7 +28,7 @@ from pcnde_bridge import (
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.config import PHYSICS, ClosureConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.splits import neighbouring_parts
+from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.errors import FileError, SolveError
@@ -186,7 +186,7 @@ def test_cases_that_do_not_vary_are_refused():
 
 
 def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
-    left_out = neighbouring_parts(cases, 2)
+    left_out = neighboring_folds(cases, 2)
     labels = cases.labels[["geometry", "waveform"]]
     taken = [set(labels.iloc[part].itertuples(index=False, name=None)) for part in left_out]
     # Geometries are in order of their narrowness, waveforms in that of their oscillation.
@@ -194,8 +194,8 @@ def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
         {(g, w) for g in range(1, 5) for w in pair} for pair in ((0, 1), (2, 3))
     ]
     few = cases.select(geometry=1)
-    assert sorted(np.concatenate(neighbouring_parts(few, 2))) == [0, 1, 2, 3]
-    scattered = neighbouring_parts(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
+    assert sorted(np.concatenate(neighboring_folds(few, 2))) == [0, 1, 2, 3]
+    scattered = neighboring_folds(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
     assert [list(part) for part in scattered] == [[0, 2], [1]]
 
 

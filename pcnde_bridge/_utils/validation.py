@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import permutations
 from numbers import Real
 from typing import Any, TypeVar
 
@@ -175,13 +176,28 @@ def check_shape(name: str, array: AnyArray, shape: tuple[int, ...], axes: str = 
     Raises
     ------
     InputError
-        If the shape is another one; a transposed array is pointed out.
+        If the shape is another one; axes in another order and a missing axis of cases are
+        pointed out.
     """
     if array.shape == shape:
         return
     named = f"({axes}) = {shape}" if axes else f"{shape}"
-    hint = "; it looks transposed" if array.ndim == 2 and array.shape == shape[::-1] else ""
+    hint = _axes_hint(name, array.shape, shape, axes.split(", "))
     raise InputError(f"{name} must have the shape {named}, but its shape is {array.shape}{hint}")
+
+
+def _axes_hint(name: str, found: tuple[int, ...], shape: tuple[int, ...], axes: list[str]) -> str:
+    """Return what to do about a shape that lacks the cases or has its axes in another order."""
+    if len(found) == len(shape) - 1 and axes[0] == "case":
+        return f"; for a single case pass {name}[np.newaxis]"
+    for order in permutations(range(len(shape))):
+        if tuple(shape[axis] for axis in order) == found:
+            if len(axes) < len(shape):
+                return "; it looks transposed"
+            named = ", ".join(axes[axis] for axis in order)
+            back = tuple(order.index(axis) for axis in range(len(shape)))
+            return f"; that looks like ({named}): pass np.transpose({name}, {back})"
+    return ""
 
 
 def all_of(kind: type[_T], name: str, values: Iterable[Any]) -> tuple[_T, ...]:

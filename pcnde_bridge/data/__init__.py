@@ -1,6 +1,6 @@
 """The data set: the container ``Cases``, its checks, grid, files and splits.
 
-Arrays are (case, time, z) in CGS units; every entry of data into the package ends here.
+Arrays have the axes (case, time, z) and CGS units; all data enter the package through ``Cases``.
 """
 
 from pcnde_bridge.data.cases import Cases, Split

@@ -3,39 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge._utils.checksum import sha256_arrays
-from pcnde_bridge._utils.validation import counted, listed
-from pcnde_bridge.data.checks import (
-    check_arrays,
-    check_labels,
-    check_time,
-    warn_of_units,
-)
+from pcnde_bridge._utils.validation import counted
+from pcnde_bridge.data.checks import check_arrays, check_time, warn_of_units
 from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.labels import check_labels
+from pcnde_bridge.data.selection import Positions, select_positions, split_positions
 from pcnde_bridge.data.variables import UNITS
-from pcnde_bridge.errors import (
-    DataNotFoundError,
-    FileError,
-    InputError,
-)
+from pcnde_bridge.errors import FileError
 
-FloatArray = NDArray[np.float64]
+_LABELS = "labels/"  # prefix of the labels' names among the arrays
 
 
 class Split(NamedTuple):
-    """A data set divided into cases to learn from and cases to judge by."""
+    """Data set divided into training cases and test cases."""
 
     train: Cases
     test: Cases
@@ -45,8 +37,8 @@ class Split(NamedTuple):
 class Cases:
     """Flow, area and pressure along a vessel over one cycle, for many cases.
 
-    A case is one geometry under one inflow waveform. The object never changes:
-    its arrays are read-only, C-contiguous float64 copies of what was given.
+    A case is one geometry with one inflow waveform.  The object is immutable: its arrays
+    are read-only, C-contiguous float64 copies of the arguments.
 
     Parameters
     ----------
@@ -56,42 +48,40 @@ class Cases:
     area_undeformed : array_like, shape (n_cases, n_points)
         Area of the unloaded vessel (cm², positive).
     time : array_like, shape (n_times,)
-        Instants (s) of one cycle, in uniform steps from any start. The end of
-        the cycle, which equals its start, is not repeated. At least 4.
+        Time points (s) of one cycle, in uniform steps from any start, at least 4.  The
+        end of the cycle, which equals its start, is not repeated.
     z : array_like, shape (n_points,)
-        Positions along the vessel (cm), strictly increasing. At least 3.
+        Positions along the vessel (cm), strictly increasing, at least 3.
     period : float, optional
-        Length of the cycle (s), which must be ``n_times`` time steps.
-        That is also the default.
+        Length of the cycle (s), which must equal ``n_times`` time steps, the default.
     labels : DataFrame or mapping, optional
-        One row per case. The columns ``geometry`` and ``waveform`` (whole
-        numbers) together name a case; no two cases share both. ``blockage`` is
-        the fraction of the area that the stenosis takes, NaN where unknown; by
-        default it is ``1 - min(area_undeformed) / area_undeformed[0]``. Further
-        columns of numbers or text are kept; their names must be Python names.
-        By default ``geometry`` counts the cases from 0 and ``waveform`` is 0.
+        One row per case.  The columns ``geometry`` and ``waveform`` (whole numbers)
+        together identify a case.  ``blockage`` is the fraction of the area that the
+        stenosis blocks, NaN where unknown; by default it is
+        ``1 - min(area_undeformed) / area_undeformed[0]``.  Further columns of numbers or
+        text are retained; their names must be Python names.  By default ``geometry``
+        counts the cases from 0 and ``waveform`` is 0.
 
     Raises
     ------
     InputError
-        When an argument is not usable; the message names the field and the index.
+        If an argument is not usable; the message names the field and the index.
 
     Warns
     -----
     UnitsWarning
-        When the values are implausible for a vessel in CGS units: median
-        undeformed area outside 1e-4 … 100 cm², median area more than 5 times
-        away from the undeformed one, median speed ``|flow| / area`` outside
-        0.5 … 500 cm/s (unless there is no flow), or largest pressure outside
-        1e3 … 1e7 dyn/cm².
+        If the values are implausible for a vessel in CGS units: median undeformed
+        area outside 1e-4 … 100 cm², median area more than 5 times away from the
+        undeformed one, median speed ``|flow| / area`` outside 0.5 … 500 cm/s (unless
+        there is no flow), or largest pressure outside 1e3 … 1e7 dyn/cm².
     """
 
-    flow: FloatArray
-    area: FloatArray
-    pressure: FloatArray
-    area_undeformed: FloatArray
-    time: FloatArray
-    z: FloatArray
+    flow: Array
+    area: Array
+    pressure: Array
+    area_undeformed: Array
+    time: Array
+    z: Array
     period: float
     _labels: pd.DataFrame
 
@@ -107,21 +97,14 @@ class Cases:
         period: float | None = None,
         labels: pd.DataFrame | Mapping[str, Any] | None = None,
     ) -> None:
-        given = {
-            "flow": flow,
-            "area": area,
-            "pressure": pressure,
-            "area_undeformed": area_undeformed,
-            "time": time,
-            "z": z,
-        }
-        arrays = check_arrays(given)
+        given = (flow, area, pressure, area_undeformed, time, z)
+        arrays = check_arrays(dict(zip(UNITS, given, strict=True)))
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
         self._fill(arrays, cycle, table)
         warn_of_units(arrays)
 
-    def _fill(self, arrays: Mapping[str, FloatArray], period: float, labels: pd.DataFrame) -> None:
+    def _fill(self, arrays: Mapping[str, Array], period: float, labels: pd.DataFrame) -> None:
         """Set the fields, once."""
         for name, array in arrays.items():
             array.setflags(write=False)
@@ -130,17 +113,17 @@ class Cases:
         object.__setattr__(self, "_labels", labels)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Copies made by the standard library's copy and by worker processes
-        # would be writeable otherwise.
+        # Copies made by the standard library's copy and by worker processes would be
+        # writeable otherwise.
         self.__dict__.update(state)
         for name in UNITS:
             getattr(self, name).setflags(write=False)
 
-    # ---- what it holds -------------------------------------------------
+    # ---- contents ------------------------------------------------------
 
     @property
     def labels(self) -> pd.DataFrame:
-        """Copy of the labels: geometry, waveform, blockage, …; one row per case."""
+        """Copy of the labels (geometry, waveform, blockage, …), one row per case."""
         return self._labels.copy()
 
     @property
@@ -150,7 +133,7 @@ class Cases:
 
     @property
     def n_times(self) -> int:
-        """Number of instants in the cycle."""
+        """Number of time points in the cycle."""
         return int(self.flow.shape[1])
 
     @property
@@ -160,12 +143,12 @@ class Cases:
 
     @property
     def grid(self) -> Grid:
-        """Instants (s), points (cm) and period (s)."""
+        """Time points (s), points along the vessel (cm) and period (s)."""
         return Grid(self.time, self.z, self.period)
 
     @property
-    def inflow(self) -> FloatArray:
-        """Flow at the inlet (mL/s), shape (n_cases, n_times); a read-only view."""
+    def inflow(self) -> Array:
+        """Flow rate at the inlet (mL/s), shape (n_cases, n_times); a read-only view."""
         return self.flow[:, :, 0]
 
     def __len__(self) -> int:
@@ -176,7 +159,7 @@ class Cases:
         waveforms = self._labels["waveform"].nunique()
         return (
             f"Cases({counted(self.n_cases, 'case')}: {counted(geometries, 'geometry')}, "
-            f"{counted(waveforms, 'waveform')}; {self.n_times} instants over {self.period:g} s; "
+            f"{counted(waveforms, 'waveform')}; {self.n_times} time points over {self.period:g} s; "
             f"{self.n_points} points, z from {self.z[0]:g} to {self.z[-1]:g} cm)"
         )
 
@@ -189,13 +172,13 @@ class Cases:
         return hash(self._checksum)
 
     def fingerprint(self) -> str:
-        """Return a checksum of every number and label.
+        """Return a checksum of all numbers and labels.
 
         Returns
         -------
         str
-            64 hexadecimal digits (SHA-256). Two data sets are equal exactly when
-            their fingerprints are.
+            64 hexadecimal digits (SHA-256).  Two data sets are equal exactly if their
+            fingerprints are equal.
         """
         return self._checksum
 
@@ -203,29 +186,29 @@ class Cases:
     def _checksum(self) -> str:
         return sha256_arrays(self._contents())
 
-    def _contents(self) -> dict[str, NDArray[Any]]:
-        """Everything in it as plain arrays; labels are named ``labels/<column>``."""
-        contents: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in UNITS}
+    def _contents(self) -> dict[str, AnyArray]:
+        """Return the whole content as arrays; labels are named ``labels/<column>``."""
+        contents: dict[str, AnyArray] = {name: getattr(self, name) for name in UNITS}
         contents["period"] = np.array(self.period)
         for column in self._labels.columns:
             values = self._labels[column].to_numpy()
             if values.dtype.kind not in "biuf":
                 values = np.array(values.tolist(), dtype=np.str_)
-            contents[f"labels/{column}"] = values
+            contents[f"{_LABELS}{column}"] = values
         return contents
 
     def to_frame(self) -> pd.DataFrame:
-        """Return everything as one tidy table, one row per case, instant and point.
+        """Return the data set as a tidy table, one row per case, time point and point.
 
         Returns
         -------
         DataFrame
-            The labels' columns (geometry, waveform, blockage and any other), time (s),
+            Columns of the labels (geometry, waveform, blockage and any other), time (s),
             z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²) and area_undeformed (cm²),
             with ``n_cases * n_times * n_points`` rows; z varies fastest.
         """
         shape = self.flow.shape
-        columns: dict[str, NDArray[Any]] = {
+        columns: dict[str, AnyArray] = {
             name: np.repeat(self._labels[name].to_numpy(), shape[1] * shape[2])
             for name in self._labels.columns
         }
@@ -241,20 +224,20 @@ class Cases:
             columns[name] = np.broadcast_to(values, shape).ravel()
         return pd.DataFrame(columns)
 
-    # ---- choosing cases ------------------------------------------------
+    # ---- subsets -------------------------------------------------------
 
     def select(self, index: Any = None, /, **labels: Any) -> Cases:
-        """Return some of the cases.
+        """Return a subset of the cases.
 
         Parameters
         ----------
         index : int, slice, sequence of int, boolean mask or list of pairs, optional
             Positions in the data set, a mask of length ``n_cases``, or pairs
-            ``[(geometry, waveform), …]``. The result is in the order asked for.
+            ``[(geometry, waveform), …]``.  The result has the order of the request.
         **labels
-            Values wanted of label columns, instead of ``index``:
-            ``select(geometry=10, waveform=[1, 2])`` returns the cases that match
-            all of them, in the order of the data set.
+            Values of label columns, instead of ``index``:
+            ``select(geometry=10, waveform=[1, 2])`` returns the cases that match all of
+            them, in the order of the data set.
 
         Returns
         -------
@@ -264,25 +247,13 @@ class Cases:
         Raises
         ------
         InputError
-            When something asked for is not there, is asked for twice, or when no
-            case is left.
+            If a requested case does not exist or is requested twice, or if no case
+            matches.
         """
-        if (index is None) == (not labels):
-            raise InputError(
-                "select needs either positions, a mask or pairs, or label values such as "
-                "geometry=10; " + ("both were given" if labels else "neither was given")
-            )
-        positions = self._labelled(labels) if labels else self._positions(index)
-        if len(positions) == 0:
-            raise InputError("the selection is empty: no case matches; loosen it")
-        unique, counts = np.unique(positions, return_counts=True)
-        if np.any(counts > 1):
-            twice = int(unique[np.argmax(counts > 1)])
-            raise InputError(f"case {twice} is selected more than once; ask for each case once")
-        return self._take(positions)
+        return self._take(select_positions(self._labels, index, labels))
 
-    def _take(self, positions: NDArray[np.intp]) -> Cases:
-        """Return the cases at the positions, known to be right."""
+    def _take(self, positions: Positions) -> Cases:
+        """Return the cases at valid positions."""
         taken = object.__new__(Cases)
         arrays = {
             name: getattr(self, name) if name in ("time", "z") else getattr(self, name)[positions]
@@ -290,85 +261,6 @@ class Cases:
         }
         taken._fill(arrays, self.period, self._labels.iloc[positions].reset_index(drop=True))
         return taken
-
-    def _positions(self, index: Any) -> NDArray[np.intp]:
-        """Turn positions, a slice, a mask or pairs into positions."""
-        if isinstance(index, slice):
-            try:
-                return np.arange(self.n_cases)[index]
-            except (TypeError, ValueError) as error:
-                raise InputError(f"the slice {index!r} is not usable: {error}") from error
-        if isinstance(index, tuple) and all(np.ndim(i) == 0 for i in index):
-            raise InputError(
-                f"select({index!r}) could mean two things: write [{index!r}] for a "
-                f"(geometry, waveform) pair, or {list(index)!r} for positions"
-            )
-        try:
-            asked = np.asarray(index)
-        except ValueError:  # rows of unequal length
-            asked = np.asarray(None)
-        if asked.dtype == bool and asked.ndim == 1:
-            if len(asked) != self.n_cases:
-                raise InputError(
-                    f"the mask has {counted(len(asked), 'value')} but there are "
-                    f"{counted(self.n_cases, 'case')}; give one value per case"
-                )
-            return np.flatnonzero(asked)
-        if asked.ndim == 2:
-            return self._paired(_pairs(asked.tolist(), "select"), "select")
-        if asked.ndim > 1 or (asked.size and asked.dtype.kind not in "iu"):
-            raise InputError(
-                f"select cannot use {index!r}; give an int, a slice, a list of ints, a boolean "
-                "mask or a list of (geometry, waveform) pairs"
-            )
-        asked = np.atleast_1d(asked)
-        outside = (asked < -self.n_cases) | (asked >= self.n_cases)
-        if outside.any():
-            raise InputError(
-                f"there is no case {asked[outside][0]}: positions run from 0 to "
-                f"{self.n_cases - 1}, or from -{self.n_cases} to -1"
-            )
-        asked = asked.astype(np.intp)  # before sums that a smaller type cannot hold
-        return np.where(asked < 0, asked + self.n_cases, asked)
-
-    def _paired(self, pairs: Sequence[tuple[int, int]], where: str) -> NDArray[np.intp]:
-        """Find the positions of (geometry, waveform) pairs, in their order."""
-        known = {key: i for i, key in enumerate(self._keys())}
-        absent = [pair for pair in pairs if pair not in known]
-        if absent:
-            raise InputError(
-                f"{where} asks for cases that are not in this data set: (geometry, waveform) = "
-                f"{listed(absent)}; the pairs there are stand in cases.labels"
-            )
-        return np.array([known[pair] for pair in pairs], dtype=np.intp)
-
-    def _labelled(self, wanted: Mapping[str, Any]) -> NDArray[np.intp]:
-        """Find the positions of the cases whose labels have the wanted values."""
-        mask = np.ones(self.n_cases, dtype=bool)
-        for column, value in wanted.items():
-            if column not in self._labels:
-                raise InputError(
-                    f"there is no label {column!r}; the labels are "
-                    + ", ".join(map(repr, self._labels.columns))
-                )
-            present = self._labels[column].to_numpy()
-            values = [value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-            hits = [_matches(present, each) for each in values]
-            absent = [each for each, hit in zip(values, hits, strict=True) if not hit.any()]
-            if absent:
-                raise InputError(
-                    f"no case has {column} = {listed(absent)}; "
-                    f"the values there are: {listed(pd.unique(self._labels[column]).tolist())}"
-                )
-            mask &= np.any(hits, axis=0)
-        return np.flatnonzero(mask)
-
-    def _keys(self) -> list[tuple[int, int]]:
-        """Return the (geometry, waveform) of every case."""
-        columns = (self._labels[name].tolist() for name in ("geometry", "waveform"))
-        return list(zip(*columns, strict=True))
-
-    # ---- dividing into training and test -------------------------------
 
     def split(
         self, how: str | os.PathLike[str] | Mapping[str, Sequence[Sequence[int]]] = "paper"
@@ -378,13 +270,12 @@ class Cases:
         Parameters
         ----------
         how : "paper", mapping or path of a JSON file
-            ``"paper"`` tests on the largest geometry label under every waveform
-            and on the largest waveform label in every geometry, and trains on the
-            rest, both in the order of their labels; for the published data that
-            is the paper's 81 and 19 cases. A mapping, or a JSON file that holds
-            one, names the cases itself, in the order wanted:
-            ``{"train": [[geometry, waveform], …], "test": […]}``. Cases that it
-            does not name are left out.
+            ``"paper"`` tests on the largest geometry label with every waveform and on the
+            largest waveform label with every geometry, and trains on the rest, both in the
+            order of their labels; for the published data this is the paper's split into 81
+            and 19 cases.  A mapping, or a JSON file with one, names the cases in the
+            order wanted: ``{"train": [[geometry, waveform], …], "test": […]}``.  Cases
+            that it does not name are left out.
 
         Returns
         -------
@@ -394,72 +285,12 @@ class Cases:
         Raises
         ------
         InputError
-            When training or test would be empty, or the mapping is not usable.
+            If training or test would be empty, or the mapping is not usable.
         FileError
-            When the file is missing or is not JSON.
+            If the file is missing or is not JSON.
         """
-        if isinstance(how, str) and how == "paper":
-            return self._split_as_the_paper()
-        if isinstance(how, Mapping):
-            return self._split_by(how, "the split")
-        if not isinstance(how, str | os.PathLike):
-            raise InputError(
-                f"how must be 'paper', a mapping or the path of a JSON file, got {how!r}"
-            )
-        path = Path(how)
-        try:
-            mapping = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise DataNotFoundError(
-                f"there is no split file {str(path)!r}; give 'paper', a mapping or the path of a "
-                "JSON file"
-            ) from error
-        except (OSError, ValueError, RecursionError) as error:
-            raise FileError(f"{str(path)!r} is not a readable JSON file: {error}") from error
-        if not isinstance(mapping, dict):
-            raise InputError(f'{str(path)!r} must hold {{"train": [...], "test": [...]}}')
-        return self._split_by(mapping, repr(str(path)))
-
-    def _split_as_the_paper(self) -> Split:
-        geometry = self._labels["geometry"].to_numpy()
-        waveform = self._labels["waveform"].to_numpy()
-        order = np.lexsort((waveform, geometry))
-        test = ((geometry == geometry.max()) | (waveform == waveform.max()))[order]
-        if test.all():
-            raise InputError(
-                "the paper's split tests on the largest geometry and the largest waveform; this "
-                f"data set has {counted(len(set(geometry)), 'geometry')} and "
-                f"{counted(len(set(waveform)), 'waveform')}, so no case is left for training; "
-                "name the cases with a mapping (a file of it), or use all without a split "
-                "(--split none)"
-            )
-        return Split(self._take(order[~test]), self._take(order[test]))
-
-    def _split_by(self, mapping: Mapping[str, Any], name: str) -> Split:
-        unknown = [key for key in mapping if key not in ("train", "test")]
-        if unknown:
-            raise InputError(
-                f"{name} has unknown keys: {listed(unknown)}; the keys are 'train' and 'test'"
-            )
-        parts: dict[str, list[tuple[int, int]]] = {}
-        for key in ("train", "test"):
-            if key not in mapping:
-                raise InputError(
-                    f"{name} has no {key!r}; give it a list of [geometry, waveform] pairs"
-                )
-            parts[key] = _pairs(mapping[key], f"{key!r} of {name}")
-        both = [pair for pair in parts["train"] if pair in set(parts["test"])]
-        if both:
-            raise InputError(
-                f"{name} has cases in both 'train' and 'test': (geometry, waveform) = "
-                f"{listed(both)}; a case may be in one of them"
-            )
-        return Split(
-            **{
-                key: self._take(self._paired(pairs, f"{key!r} of {name}"))
-                for key, pairs in parts.items()
-            }
-        )
+        parts = split_positions(self._labels, how)
+        return Split(**{name: self._take(positions) for name, positions in parts.items()})
 
     # ---- files ---------------------------------------------------------
 
@@ -468,24 +299,24 @@ class Cases:
 
         Parameters
         ----------
-        path : str or path-like
-            The file, ``.npz`` (numpy) or ``.h5``/``.hdf5`` (HDF5, with units).
-            A file that is there already is replaced.
+        path : path-like
+            The file, ``.npz`` (numpy) or ``.h5``/``.hdf5`` (HDF5, with units).  An
+            existing file is replaced.
 
         Raises
         ------
         FileError
-            When the ending is another one or the file cannot be written.
+            If the name has another ending or the file cannot be written.
         """
         write_cases(path, self._contents(), self.fingerprint())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Cases:
-        """Read a data set that :meth:`save` wrote.
+        """Read a data set written by :meth:`save`.
 
         Parameters
         ----------
-        path : str or path-like
+        path : path-like
             A file whose name ends in ``.npz``, ``.h5`` or ``.hdf5``.
 
         Returns
@@ -496,54 +327,17 @@ class Cases:
         Raises
         ------
         DataNotFoundError
-            When there is no such file.
+            If there is no such file.
         FileError
-            When the file is truncated, damaged, foreign, or of a newer version.
+            If the file is truncated, damaged, foreign, or of a newer version.
         """
-        contents, name = read_cases(path), repr(str(path))
-        prefix = "labels/"
+        contents = read_cases(path)
+        labels = {k.removeprefix(_LABELS): v for k, v in contents.items() if k.startswith(_LABELS)}
         try:
-            cases = cls(
-                **{key: contents[key] for key in UNITS},
-                period=contents["period"].item(),
-                labels={
-                    key.removeprefix(prefix): values
-                    for key, values in contents.items()
-                    if key.startswith(prefix)
-                },
-            )
+            arrays = {name: contents[name] for name in UNITS}
+            cases = cls(**arrays, period=contents["period"].item(), labels=labels)
         except ValueError as error:
-            raise FileError(f"{name} holds data that are not usable: {error}") from error
+            raise FileError(f"{path} holds data that are not usable: {error}") from error
         if cases.fingerprint() != str(contents["fingerprint"]):
-            raise FileError(f"{name} was changed after it was saved; save or copy it again")
+            raise FileError(f"{path} was changed after it was saved; save or copy it again")
         return cases
-
-
-def _pairs(value: Any, where: str) -> list[tuple[int, int]]:
-    """Check a list of (geometry, waveform) pairs."""
-    if isinstance(value, (str, Mapping)) or not hasattr(value, "__len__") or len(value) == 0:
-        raise InputError(f"{where} must be a non-empty list of [geometry, waveform] pairs")
-    pairs: list[tuple[int, int]] = []
-    for i, pair in enumerate(value):
-        good = (
-            isinstance(pair, (list, tuple, np.ndarray))
-            and len(pair) == 2
-            and all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in pair)
-        )
-        if not good:
-            raise InputError(
-                f"{where}, entry {i}, is {pair!r}; write [geometry, waveform], two whole numbers"
-            )
-        key = (int(pair[0]), int(pair[1]))
-        if key in pairs:
-            raise InputError(f"{where} names {key} twice, the second time as entry {i}")
-        pairs.append(key)
-    return pairs
-
-
-def _matches(present: NDArray[Any], value: Any) -> NDArray[np.bool_]:
-    """Mark equal labels; fractions within rounding, so that 0.55 finds 0.55."""
-    if present.dtype.kind == "f" and isinstance(value, (int, float, np.number)):
-        close: NDArray[np.bool_] = np.isclose(present, float(value), atol=1e-12, equal_nan=True)
-        return close
-    return np.array([bool(each == value) for each in present.tolist()])

@@ -1,4 +1,4 @@
-"""Where the numbers of a data set, a model or a prediction live."""
+"""Time points and positions at which a data set, a model or a prediction is given."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import Array
 from pcnde_bridge.errors import InputError
 
-_FEWEST_INSTANTS, _FEWEST_POINTS = 16, 5
-_SAME = 1e-9  # of the largest coordinate
+_FEWEST_TIMES, _FEWEST_POINTS = 16, 5
+_TOLERANCE = 1e-9  # relative to the largest coordinate
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Instants and points.
+    """Time points of one cycle and points along the vessel.
+
+    The arrays are read-only copies, so that predictions can share them with their model.
 
     Attributes
     ----------
     time : array of shape (n_t,)
-        Instants of one cycle, s, uniform, the end point not repeated.
+        Time points of one cycle, s, uniform; the end point is not repeated.
     z : array of shape (n_z,)
         Points along the vessel, cm, increasing.
     period : float
         Length of the cycle, s.
-
-    The arrays are its own and read-only: predictions share them with their model.
     """
 
-    time: npt.NDArray[np.float64]
-    z: npt.NDArray[np.float64]
+    time: Array
+    z: Array
     period: float
 
     def __post_init__(self) -> None:
@@ -42,16 +42,16 @@ class Grid:
 
 
 def check_resolution(n_times: int, n_points: int) -> None:
-    """Raise where a cycle or a vessel is not resolved, for models that take any grid.
+    """Raise if the cycle or the vessel is not resolved, for models that accept any grid.
 
     Raises
     ------
     InputError
-        If there are fewer than 16 instants or 5 points.
+        If there are fewer than 16 time points or 5 points.
     """
-    if n_times < _FEWEST_INSTANTS:
+    if n_times < _FEWEST_TIMES:
         raise InputError(
-            f"inflow has {n_times} instants per cycle; at least {_FEWEST_INSTANTS} are needed."
+            f"inflow has {n_times} time points per cycle; at least {_FEWEST_TIMES} are needed."
         )
     if n_points < _FEWEST_POINTS:
         raise InputError(f"z has {n_points} points; at least {_FEWEST_POINTS} are needed.")
@@ -63,16 +63,16 @@ def check_grid(trained: Grid, other: Grid, where: str = "model.grid") -> None:
     Parameters
     ----------
     trained : Grid
-        Of the training cases.
+        Grid of the training cases.
     other : Grid
-        Of the cases to be predicted.
+        Grid of the cases to be predicted.
     where : str
-        What holds the model's grid, for the message.
+        Name of the model's grid, for the message.
 
     Raises
     ------
     InputError
-        Naming the first difference.
+        If the grids differ; the message names the first difference.
     """
     for name, mine, theirs in (
         ("time", trained.time - trained.time[0], other.time - other.time[0]),
@@ -83,8 +83,9 @@ def check_grid(trained: Grid, other: Grid, where: str = "model.grid") -> None:
                 f"The cases have {theirs.size} values of {name}, but the model was trained on "
                 f"{mine.size}: bring the cases to the model's grid ({where}.{name})."
             )
-        if np.abs(mine - theirs).max() > _SAME * (1 + np.abs(mine).max()):
-            index = int(np.abs(mine - theirs).argmax())
+        difference = np.abs(mine - theirs)
+        if difference.max() > _TOLERANCE * (1 + np.abs(mine).max()):
+            index = int(difference.argmax())
             raise InputError(
                 f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
                 f"model: bring the cases to the model's grid ({where}.{name})."

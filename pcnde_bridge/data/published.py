@@ -1,9 +1,9 @@
-"""The published data set's folder layout: ``case_G_W/averagedTo1DFrom0_case_G_W.npy``.
+"""Folder layout of the published data: ``case_G_W/averagedTo1DFrom0_case_G_W.npy``.
 
-One file holds one case, geometry G under waveform W, as float64 of shape (6, 100, 101):
-[variable, time, z]. The variables are flow (mL/s), pressure × undeformed area (dyn),
-undeformed area (cm²), area (cm²), radial displacement and wall shear stress. The
-instants are 0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
+One file holds one case, geometry G with waveform W, as float64 of shape (6, 100, 101):
+[variable, time, z].  The variables are flow (mL/s), pressure × undeformed area (dyn),
+undeformed area (cm²), area (cm²), radial displacement and wall shear stress.  The time
+points are 0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.files import reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError
 
-#: Shape of a file: variables, instants, points.
 SHAPE = (6, 100, 101)
-#: Time step (s), length of the cycle (s) and distance of the points (cm).
-DT = 0.01
-PERIOD = 1.0
-DZ = 0.04
+"""Shape of a file: variables, time points, points."""
+
+DT, PERIOD, DZ = 0.01, 1.0, 0.04
+"""Time step (s), length of the cycle (s) and distance between points (cm)."""
 
 _FLOW, _FORCE, _AREA_UNDEFORMED, _AREA = range(4)
 _CASE = re.compile(r"case_(0|[1-9]\d*)_(0|[1-9]\d*)")
@@ -32,17 +31,17 @@ _MOST_PROBLEMS = 10
 
 
 def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
-    """Read a data set in the layout of the published one, whole or in part.
+    """Read a data set in the layout of the published one, complete or in part.
 
-    The pressure is variable 1 over the *undeformed* area: the published averages
-    were made on the undeformed cross-sections, and dividing by the deformed area
-    gives spurious humps at the stenosis and at both ends.
+    The pressure is variable 1 divided by the *undeformed* area: the published averages
+    were computed on the undeformed cross-sections, and dividing by the deformed area
+    gives spurious peaks at the stenosis and at both ends.
 
     Parameters
     ----------
-    folder : str or path-like
-        The folder that holds the ``case_G_W`` folders, or its parent if it is
-        named ``data_3D``. Other files and folders in it are left alone.
+    folder : path-like
+        The folder with the ``case_G_W`` folders, or its parent if it is named
+        ``data_3D``.  Other files and folders in it are ignored.
 
     Returns
     -------
@@ -53,9 +52,9 @@ def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
     Raises
     ------
     DataNotFoundError
-        When there is no such folder, or no case in it.
+        If there is no such folder, or no case in it.
     FileError
-        When files are missing, damaged or of another shape; names up to 10.
+        If files are missing, damaged or of another shape; the message lists up to 10.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -71,11 +70,10 @@ def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
         )
     arrays, problems = [], []
     for _, _, entry in cases:
-        path = entry / f"averagedTo1DFrom0_{entry.name}.npy"
         try:
-            arrays.append(_read_case(path))
-        except (OSError, ValueError, EOFError) as error:
-            problems.append(f"{path.relative_to(root)}: {error}")
+            arrays.append(_read_case(entry / f"averagedTo1DFrom0_{entry.name}.npy"))
+        except FileError as error:
+            problems.append(str(error))
     if problems:
         shown = "\n  ".join(problems[:_MOST_PROBLEMS])
         more = len(problems) - _MOST_PROBLEMS
@@ -86,7 +84,7 @@ def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
         )
     data = np.stack(arrays, axis=1)
     area_undeformed = data[_AREA_UNDEFORMED, :, 0]
-    geometry = np.array([case[0] for case in cases])
+    geometry, waveform = np.array([case[:2] for case in cases]).T
     return Cases(
         flow=data[_FLOW],
         area=data[_AREA],
@@ -98,31 +96,27 @@ def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
         period=PERIOD,
         labels={
             "geometry": geometry,
-            "waveform": np.array([case[1] for case in cases]),
+            "waveform": waveform,
             "blockage": np.round(0.40 + 0.05 * (geometry - 1), 2),
         },
     )
 
 
-def _read_case(path: Path) -> NDArray[Any]:
-    """Read one file; say in a ValueError or OSError what is wrong with it."""
-    if not path.is_file():
-        raise FileNotFoundError("the file is missing")
-    try:
-        # Mapped, a length that the file does not have is noticed before memory is taken.
+def _read_case(path: Path) -> Array:
+    """Return the first four variables of a file."""
+    with reading(path, "a case of the published data"):
+        # Mapped, a length that exceeds the file is noticed before memory is allocated.
         data = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # damaged bytes can make the reader raise nearly anything
-        raise ValueError(f"truncated, damaged or no .npy file ({error})") from error
-    if not isinstance(data, np.ndarray) or data.shape != SHAPE or data.dtype != np.float64:
-        found = f"{data.dtype} {data.shape}" if isinstance(data, np.ndarray) else "an archive"
-        raise ValueError(f"holds {found} instead of float64 {SHAPE}, [variable, time, z]")
-    used = np.array(data[: _AREA + 1])
-    if not np.isfinite(used).all():
-        place = tuple(int(i) for i in np.argwhere(~np.isfinite(used))[0])
-        raise ValueError(f"value {place} is {used[place]}")
-    if (used[_AREA_UNDEFORMED:] <= 0).any():
-        raise ValueError("has areas that are not positive (variables 2 and 3)")
-    undeformed = used[_AREA_UNDEFORMED]
-    if not np.allclose(undeformed, undeformed[0], rtol=1e-9, atol=0):
-        raise ValueError("the undeformed area (variable 2) changes with time")
+        if not isinstance(data, np.ndarray) or data.shape != SHAPE or data.dtype != np.float64:
+            found = f"{data.dtype} {data.shape}" if isinstance(data, np.ndarray) else "an archive"
+            raise TypeError(f"it holds {found} instead of float64 {SHAPE}, [variable, time, z]")
+        used = np.array(data[: _AREA + 1])
+        if not np.isfinite(used).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(used))[0])
+            raise ValueError(f"value {place} is {used[place]}")
+        if (used[_AREA_UNDEFORMED:] <= 0).any():
+            raise ValueError("it has areas that are not positive (variables 2 and 3)")
+        undeformed = used[_AREA_UNDEFORMED]
+        if not np.allclose(undeformed, undeformed[0], rtol=1e-9, atol=0):
+            raise ValueError("the undeformed area (variable 2) changes with time")
     return used

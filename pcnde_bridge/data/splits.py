@@ -1,23 +1,30 @@
-"""Which cases are held out: whole waveforms and whole geometries, as single cases are too easy.
+"""Cases held out of training: whole waveforms and whole geometries.
 
-The other cases of a waveform or a geometry tell most of what there is to know of one.
+Holding out single cases would be too easy a test, because the other cases with the same
+waveform or geometry are similar.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from pcnde_bridge._typing import IntArray
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 
-Positions = npt.NDArray[np.int64]
+Positions = IntArray
+"""Positions of cases in a data set."""
 
-_FEWEST = 8  # cases, below which none is spared for validation
+_FEWEST = 8  # cases, below which there is no validation set
 
 
 def each_waveform_and_geometry(cases: Cases) -> dict[tuple[str, int], Positions]:
-    """List every waveform, then every geometry, as cross-validation holds them out in turns.
+    """Return the cases of every waveform, then of every geometry, for cross-validation.
+
+    Returns
+    -------
+    dict
+        Positions of the cases by the name and value of their label.
 
     Raises
     ------
@@ -37,14 +44,14 @@ def each_waveform_and_geometry(cases: Cases) -> dict[tuple[str, int], Positions]
     return found
 
 
-def neighbouring_parts(cases: Cases, folds: int) -> list[Positions]:
-    """List the parts that uncertainty is calibrated on.
+def neighboring_folds(cases: Cases, folds: int) -> list[Positions]:
+    """Return the folds on which uncertainty is calibrated.
 
-    The geometries in the order of their narrowest area, and the waveforms in the
-    order of their oscillation, are each cut into ``folds`` neighbouring parts, so
-    that the outermost are left out together: predictions are often asked for
-    beyond the training cases.  Where there are fewer geometries or waveforms than
-    parts and one, every ``folds``-th case is left out instead.
+    The geometries in the order of their narrowest area, and the waveforms in the order
+    of their oscillation, are each divided into ``folds`` groups of neighbors.  So the
+    extreme ones are held out together: predictions are often requested beyond the
+    training cases.  If there are at most ``folds`` geometries or waveforms, every
+    ``folds``-th case is held out instead.
     """
     narrowness = cases.area_undeformed.min(axis=1) / cases.area_undeformed.max(axis=1)
     oscillation = np.std(cases.inflow, axis=1)
@@ -63,36 +70,36 @@ def neighbouring_parts(cases: Cases, folds: int) -> list[Positions]:
 
 
 def training_and_validation(cases: Cases, share: float, seed: int) -> tuple[Positions, ...]:
-    """Return the training part and, unless none is spared, the validation part.
+    """Return the training cases and, if there are enough cases, the validation cases.
 
-    Whole waveforms and whole geometries, in turns and drawn at random, go into the
-    validation part until it has its share of the cases.  Labels with a single value
-    are not drawn from; where no label groups the cases, single cases are drawn.
+    Whole waveforms and whole geometries, alternately and in random order, are moved into
+    the validation set until it has its share of the cases.  Labels with a single value are
+    not used; if no label groups the cases, single cases are moved.
 
     Parameters
     ----------
     cases : Cases
         All training cases.
     share : float
-        Of the cases that are to validate.
+        Fraction of the cases in the validation set.
     seed : int
-        Of the draw.
+        Seed of the random order.
     """
     rng, count = np.random.default_rng(seed), len(cases)
     everything = np.arange(count)
     wanted = round(share * count)
     if count < _FEWEST or wanted == 0:
         return (everything,)
-    held = np.zeros(count, dtype=bool)
+    held_out = np.zeros(count, dtype=bool)
     groups = [cases.labels[name].to_numpy() for name in ("waveform", "geometry")]
     columns = [g for g in groups if 1 < len(np.unique(g)) < count]
     queues = [list(rng.permutation(np.unique(g))) for g in columns]
-    while held.sum() < wanted and any(queues):
+    while held_out.sum() < wanted and any(queues):
         for column, queue in zip(columns, queues, strict=True):
-            # A group that would take half of the cases is too large to be spared.
-            if queue and held.sum() < wanted:
-                larger = held | (column == queue.pop())
-                held = larger if larger.sum() <= count // 2 else held
-    if not held.any():
-        held[rng.permutation(count)[:wanted]] = True
-    return everything[~held], everything[held]
+            # A group that would leave less than half of the cases for training is skipped.
+            if queue and held_out.sum() < wanted:
+                larger = held_out | (column == queue.pop())
+                held_out = larger if larger.sum() <= count // 2 else held_out
+    if not held_out.any():
+        held_out[rng.permutation(count)[:wanted]] = True
+    return everything[~held_out], everything[held_out]

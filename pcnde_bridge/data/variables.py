@@ -1,11 +1,11 @@
-"""Names and units of a data set's arrays."""
+"""Names and units of the arrays of a data set."""
 
 from __future__ import annotations
 
 __all__ = ["SOLVER_LABELS", "UNITS", "VARIABLES"]
 
 VARIABLES = ("flow", "area", "pressure")
-"""What a model predicts, each (case, time, z)."""
+"""Variables that a model predicts, each of shape (case, time, z)."""
 
 UNITS = {
     "flow": "mL/s",
@@ -15,7 +15,7 @@ UNITS = {
     "time": "s",
     "z": "cm",
 }
-"""The units of every array (CGS)."""
+"""Unit (CGS) of each array."""
 
 SOLVER_LABELS = ("periodicity", "volume_balance")
-"""Labels by which the 1D solver judges its cases; they say nothing of a prediction of these."""
+"""Labels with which the 1D solver reports its accuracy; predictions do not have them."""

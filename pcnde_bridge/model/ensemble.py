@@ -4,7 +4,7 @@ The prediction is the mean of the members, which all learn from all training cas
 standard deviation, which grows away from the training data, is calibrated
 (:mod:`pcnde_bridge.uncertainty.calibration`) on training cases that were left out,
 whole waveforms and whole geometries at a time
-(:func:`pcnde_bridge.data.splits.neighbouring_parts`): for each part,
+(:func:`pcnde_bridge.data.splits.neighboring_folds`): for each part,
 a small ensemble is fitted to the rest.  After Lakshminarayanan, Pritzel and Blundell
 (2017), with the calibration in place of their variance network.
 """
@@ -36,7 +36,7 @@ from pcnde_bridge.config import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.splits import neighbouring_parts
+from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
@@ -149,7 +149,7 @@ class Ensemble:
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = same_everywhere(engine)
-        left_out = neighbouring_parts(cases, folds)
+        left_out = neighboring_folds(cases, folds)
         if not left_out:
             raise InputError(
                 f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."

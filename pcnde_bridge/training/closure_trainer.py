@@ -15,7 +15,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
-from pcnde_bridge.data.splits import neighbouring_parts
+from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.engines.closure_parameters import (
     CLOSURES,
     ClosureParameters,
@@ -120,7 +120,7 @@ class ClosureTrainer:
                 checkpoint, FORMAT, FORMAT_VERSION, cases, self.config, engine
             )
         folds = config.correction.folds
-        self._left_out = neighbouring_parts(cases, folds) if folds else []
+        self._left_out = neighboring_folds(cases, folds) if folds else []
 
     def total(self, _: ClosureState) -> int:
         """Count the iterations of a run at most."""

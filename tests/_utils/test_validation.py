@@ -95,7 +95,11 @@ def test_shapes_are_exact():
     check_shape("x", np.zeros((2, 3)), (2, 3))
     with pytest.raises(InputError, match=r"x must have the shape \(2, 3\), but its .* \(2,\)$"):
         check_shape("x", np.zeros(2), (2, 3))
+    with pytest.raises(InputError, match=r"\(3, 2\); it looks transposed$"):
+        check_shape("x", np.zeros((3, 2)), (2, 3))
     with pytest.raises(
-        InputError, match=r"\(case, z\) = \(2, 3\), .* \(3, 2\); it looks transposed"
+        InputError, match=r"\(case, z\) = \(2, 3\), .* pass np\.transpose\(x, \(1, 0\)"
     ):
         check_shape("x", np.zeros((3, 2)), (2, 3), "case, z")
+    with pytest.raises(InputError, match=r"; for a single case pass x\[np\.newaxis\]"):
+        check_shape("x", np.zeros(3), (2, 3), "case, z")

@@ -75,7 +75,7 @@ def test_sizes_inflow_and_repr(small_cases):
     assert np.array_equal(small_cases.inflow, small_cases.flow[:, :, 0])
     assert not small_cases.inflow.flags.writeable
     assert repr(small_cases) == (
-        "Cases(12 cases: 3 geometries, 4 waveforms; 20 instants over 1 s; "
+        "Cases(12 cases: 3 geometries, 4 waveforms; 20 time points over 1 s; "
         "21 points, z from 0 to 4 cm)"
     )
     assert repr(small_cases.select(0)).startswith("Cases(1 case: 1 geometry, 1 waveform;")
@@ -211,7 +211,7 @@ def test_names_a_wrong_axis_order(small_cases, name, order, found, remedy):
     with pytest.raises(InputError) as caught:
         Cases(**arguments(small_cases, **{name: wrong}))
     text = str(caught.value)
-    assert text.startswith(f"{name} must have the shape (case, time, z) = (12, 20, 21), as ")
+    assert text.startswith(f"{name} must have the shape (case, time, z) = (12, 20, 21), but ")
     assert text.endswith(f"; that looks like {found}: pass np.transpose({name}, {remedy})")
 
 
@@ -228,7 +228,7 @@ def test_names_a_wrong_axis_order(small_cases, name, order, found, remedy):
         ({"area_undeformed": np.ones((0, 21))}, "there is no case"),
         ({"area_undeformed": 1.0}, r"its shape is \(\)"),
         ({"time": np.ones((2, 10))}, r"time must have one axis, but its shape is \(2, 10\)"),
-        ({"time": np.arange(3)}, "time has 3 instants; at least 4 are needed"),
+        ({"time": np.arange(3)}, "time has 3 time points; at least 4 are needed"),
         ({"z": np.arange(2)}, "z has 2 points; at least 3 are needed"),
         ({"time": -np.arange(20)}, "time must increase"),
         ({"flow": np.ones((12, 20, 21), complex)}, "flow must hold real numbers.*complex128"),
@@ -243,9 +243,12 @@ def test_names_a_wrong_axis_order(small_cases, name, order, found, remedy):
         ({"period": "1"}, "period must be a number of seconds; '1' is not"),
         ({"period": True}, "period must be a number of seconds"),
         ({"period": np.nan}, "period is nan s"),
-        ({"period": 0.5}, r"20 instants in steps of 0\.05 s make 1 s: time must cover one period"),
-        ({"period": 0.95}, "the last instant repeats the first, one period later; leave it out"),
-        ({"period": 1.05}, "the last instant of the cycle is missing"),
+        (
+            {"period": 0.5},
+            r"20 time points in steps of 0\.05 s make 1 s: time must cover",
+        ),
+        ({"period": 0.95}, "the last time point repeats the first, one period later; leave it out"),
+        ({"period": 1.05}, "the last time point of the cycle is missing"),
     ],
 )
 def test_refuses_wrong_arguments(small_cases, changes, message):
@@ -260,7 +263,7 @@ def closed(array):
 def test_refuses_a_repeated_end_point_without_a_period(small_cases):
     given = arguments(small_cases, time=np.arange(21) / 20, period=None)
     given |= {name: closed(given[name]) for name in ("flow", "area", "pressure")}
-    with pytest.raises(InputError, match=r"last instant repeats the first.*or pass period="):
+    with pytest.raises(InputError, match=r"last time point repeats the first.*or pass period="):
         Cases(**given)
     steady = {name: np.repeat(given[name][:, :1], 21, axis=1) for name in ("flow", "area")}
     steady["pressure"] = np.repeat(given["pressure"][:, :1], 21, axis=1)
@@ -282,7 +285,7 @@ def labelled(cases, **columns):
         ({"geometry": range(12)}, "labels lacks the column 'waveform'"),
         ({"geometry": range(12), "waveform": [0]}, "cannot be made into a DataFrame"),
         ({"geometry": range(5), "waveform": range(5)}, "labels has 5 rows but there are 12 cases"),
-        ({"geometry": [1] * 12, "waveform": [*range(11), 4]}, "waveform 4 stands in rows 4 and 11"),
+        ({"geometry": [1] * 12, "waveform": [*range(11), 4]}, "waveform 4 is in rows 4 and 11"),
         (
             {"geometry": [1] * 12, "waveform": [0.5, *range(11)]},
             r"labels\['waveform'\]\[0\] is .*0\.5.*; waveform must be a whole number",
@@ -418,7 +421,7 @@ def test_select_by_labels(small_cases):
         (([(1, 2), (9, 9)],), {}, r"not in this data set: \(geometry, waveform\) = \(9, 9\);"),
         (([(1, 2), (1, 2)],), {}, r"select names \(1, 2\) twice, the second time as entry 1"),
         (([3, -9],), {}, "case 3 is selected more than once"),
-        ((), {"geometry": 11}, "no case has geometry = 11; the values there are: 1, 2, 3"),
+        ((), {"geometry": 11}, "no case has geometry = 11; the available values are: 1, 2, 3"),
         ((), {"geometry": [1, 7, 8]}, "no case has geometry = 7, 8"),
         ((), {"patient": "Anne"}, "no case has patient = Anne"),
         ((), {"colour": "red"}, "there is no label 'colour'; the labels are 'geometry', 'wavefo"),
@@ -537,11 +540,11 @@ def test_truncated_and_foreign_files(small_cases, tmp_path, suffix):
     whole = path.read_bytes()
     for length in (9, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:length])
-        with pytest.raises(FileError, match=r"is truncated or damaged .*; save or copy it again"):
+        with pytest.raises(FileError, match=r"truncated or damaged .* or copy or create it again"):
             Cases.load(path)
     for other in (b"", b"hello, I am a text file", b"\x80\x04K\x01."):
         path.write_bytes(other)
-        with pytest.raises(FileError, match=r"is not an (\.npz|HDF5) file; load files that Cases"):
+        with pytest.raises(FileError, match=r"is not an (\.npz|HDF5) file that Cases\.save wrote"):
             Cases.load(path)
 
 
@@ -575,7 +578,7 @@ def test_paths_that_do_not_work(small_cases, tmp_path):
             small_cases.save(path)
         with pytest.raises(FileError, match=r"must end in one of \.npz, \.h5, \.hdf5"):
             Cases.load(path)
-    with pytest.raises(DataNotFoundError, match="there is no file"):
+    with pytest.raises(DataNotFoundError, match="There is no file"):
         Cases.load(tmp_path / "absent.npz")
     with pytest.raises(FileError, match="does not exist; create it first"):
         small_cases.save(tmp_path / "absent" / "data.npz")
@@ -679,7 +682,7 @@ def test_selecting_keeps_the_order_asked_for(small_cases, data):
 
 @pytest.mark.parametrize("name", ["time", "z", "flow", "area_undeformed", "novelty"])
 def test_labels_leave_the_names_of_a_prediction_alone(small_cases, name):
-    with pytest.raises(InputError, match=f"column named '{name}', as predictions name"):
+    with pytest.raises(InputError, match=f"column named '{name}', which is the name"):
         with_labels(small_cases, small_cases.labels.assign(**{name: 1.0}))
 
 

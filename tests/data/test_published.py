@@ -1,3 +1,5 @@
+"""The folder layout of the published data, and the data itself."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -63,7 +65,7 @@ def with_value(variable, value):
     [
         (case_data()[:, :50], r"holds float64 \(6, 50, 101\) instead of float64 \(6, 100, 101\)"),
         (case_data().astype(np.float32), r"holds float32 \(6, 100, 101\)"),
-        (np.full((6, 100, 101), None), "truncated, damaged or no .npy file"),
+        (np.full((6, 100, 101), None), "truncated or damaged"),
         (with_value(0, np.nan), r"value \(0, 3, 5\) is nan"),
         (with_value(3, -1.0), "has areas that are not positive"),
         (with_value(2, 0.2), r"the undeformed area \(variable 2\) changes with time"),
@@ -93,10 +95,10 @@ def test_names_missing_truncated_and_foreign_files_together(tmp_path):
         read_authors_folder(tmp_path)
     lines = str(caught.value).splitlines()
     assert lines[0].startswith("4 of 4 cases")
-    assert "the file is missing" in lines[1]
-    assert "truncated, damaged or no .npy file" in lines[2]
-    assert "truncated, damaged or no .npy file" in lines[3]
-    assert "holds an archive" in lines[4]
+    assert "There is no file" in lines[1]
+    assert "truncated or damaged" in lines[2]
+    assert "truncated or damaged" in lines[3]
+    assert "it holds an archive" in lines[4]
 
 
 def test_names_at_most_ten_files(tmp_path):
@@ -104,7 +106,7 @@ def test_names_at_most_ten_files(tmp_path):
         (tmp_path / f"case_1_{w}").mkdir()
     with pytest.raises(FileError) as caught:
         read_authors_folder(tmp_path)
-    assert str(caught.value).count("the file is missing") == 10
+    assert str(caught.value).count("There is no file") == 10
     assert str(caught.value).endswith("… and 3 more")
 
 

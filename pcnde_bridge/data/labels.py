@@ -1,0 +1,140 @@
+"""Labels of the cases of a data set: geometry, waveform, blockage and others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pcnde_bridge._typing import AnyArray, Array
+from pcnde_bridge._utils.validation import check_values, counted
+from pcnde_bridge.data.variables import UNITS
+from pcnde_bridge.errors import InputError
+
+_RESERVED = frozenset((*UNITS, "novelty"))  # columns of a prediction's table
+
+
+def check_labels(
+    labels: pd.DataFrame | Mapping[str, Any] | None, area_undeformed: Array
+) -> pd.DataFrame:
+    """Return the labels as a table with the columns geometry, waveform, blockage and others.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or unusable, or two cases have the same labels.
+    """
+    n_cases = len(area_undeformed)
+    if labels is None:
+        labels = {"geometry": np.arange(n_cases), "waveform": np.zeros(n_cases, dtype=int)}
+    try:
+        given = pd.DataFrame(labels)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"labels cannot be made into a DataFrame: {error}") from error
+    _check_table(given, n_cases)
+    columns: dict[str, AnyArray | list[str]] = {
+        name: _whole_numbers(name, given[name]) for name in ("geometry", "waveform")
+    }
+    columns["blockage"] = (
+        _blockages(given["blockage"])
+        if "blockage" in given
+        else 1.0 - area_undeformed.min(axis=1) / area_undeformed[:, 0]
+    )
+    rest = [name for name in given.columns if name not in columns]
+    columns.update({name: _label_values(name, given[name]) for name in rest})
+    table = pd.DataFrame(columns)
+    pairs = pd.MultiIndex.from_frame(table[["geometry", "waveform"]])
+    if not pairs.is_unique:
+        again = _second(pairs)
+        raise InputError(
+            f"labels names two cases alike: geometry {table['geometry'][again]}, waveform "
+            f"{table['waveform'][again]} is in rows {pairs.tolist().index(pairs[again])} and "
+            f"{again}; give each case its own pair"
+        )
+    return table
+
+
+def _check_table(given: pd.DataFrame, n_cases: int) -> None:
+    """Raise if columns are missing, named wrongly or repeated, or the number of rows is wrong."""
+    absent = [name for name in ("geometry", "waveform") if name not in given]
+    if absent:
+        raise InputError(f"labels lacks the column {absent[0]!r}; add it, as whole numbers")
+    for name in given.columns:
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise InputError(
+                f"labels has a column named {name!r}; use Python names, such as 'patient_1'"
+            )
+        if name in _RESERVED:
+            raise InputError(
+                f"labels has a column named {name!r}, which is the name of a column of "
+                "predictions; give it another name"
+            )
+    if not given.columns.is_unique:
+        raise InputError(f"labels has two columns named {given.columns[_second(given.columns)]!r}")
+    if len(given) != n_cases:
+        raise InputError(
+            f"labels has {counted(len(given), 'row')} but there are {counted(n_cases, 'case')}; "
+            "give one row per case"
+        )
+
+
+def _second(index: pd.Index[Any]) -> int:
+    """Return the position of the first repeated entry."""
+    return int(np.argmax(index.duplicated()))
+
+
+def _whole_numbers(name: str, column: pd.Series[Any]) -> AnyArray:
+    values = column.to_numpy()
+    for row, value in enumerate(values):
+        if not _is_whole(value):
+            raise InputError(f"labels[{name!r}][{row}] is {value!r}; {name} must be a whole number")
+    return values.astype(np.int64)
+
+
+def _is_whole(value: Any) -> bool:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    return number and float(value).is_integer()
+
+
+def _blockages(column: pd.Series[Any]) -> AnyArray:
+    try:
+        values = column.to_numpy(dtype=np.float64, na_value=np.nan)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"labels['blockage'] must hold numbers: {error}") from error
+    unknown = np.isnan(values)
+    check_values(
+        "labels['blockage']",
+        values,
+        ~unknown & ~((values >= 0) & (values < 1)),
+        "blockage is a fraction of the area, at least 0 and below 1, or NaN where unknown",
+    )
+    # A single NaN, whatever its bits were, so that equal tables have equal checksums.
+    return np.where(unknown, np.nan, values)
+
+
+def _label_values(name: str, column: pd.Series[Any]) -> AnyArray | list[str]:
+    values = column.to_numpy()
+    if values.dtype.kind == "b":
+        return values.astype(np.bool_)
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64)
+    if values.dtype.kind == "f":
+        return np.where(np.isnan(values), np.nan, values).astype(np.float64)
+    for row, value in enumerate(values):
+        # A file can store neither a NUL character nor half a surrogate pair.
+        if not isinstance(value, str) or "\0" in value or not _encodable(value):
+            raise InputError(
+                f"labels[{name!r}][{row}] is {value!r}; a column of labels must hold numbers "
+                "throughout or plain text throughout"
+            )
+    return [str(value) for value in values]
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -1,0 +1,238 @@
+"""Positions of cases in a data set: by number, mask, label or named split."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._utils.validation import counted, listed
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+
+Positions = npt.NDArray[np.intp]
+Pairs = list[tuple[int, int]]
+"""Cases by their labels (geometry, waveform)."""
+
+
+def case_keys(labels: pd.DataFrame) -> Pairs:
+    """Return the (geometry, waveform) of every case."""
+    return list(zip(labels["geometry"].tolist(), labels["waveform"].tolist(), strict=True))
+
+
+def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]) -> Positions:
+    """Return the positions of cases, given by an index or by values of labels.
+
+    Parameters
+    ----------
+    labels : DataFrame
+        Labels of the data set.
+    index : int, slice, sequence of int, boolean mask, list of pairs, or None
+        Positions, or what stands for them; None if label values are given.
+    wanted : mapping
+        Values wanted of label columns.
+
+    Raises
+    ------
+    InputError
+        If neither or both are given, something does not exist or is requested twice, or
+        no case matches.
+    """
+    if (index is None) == (not wanted):
+        raise InputError(
+            "select needs either positions, a mask or pairs, or label values such as "
+            "geometry=10; " + ("both were given" if wanted else "neither was given")
+        )
+    positions = _with_labels(labels, wanted) if wanted else _from_index(labels, index)
+    if len(positions) == 0:
+        raise InputError("the selection is empty: no case matches; loosen it")
+    unique, counts = np.unique(positions, return_counts=True)
+    if np.any(counts > 1):
+        twice = int(unique[np.argmax(counts > 1)])
+        raise InputError(f"case {twice} is selected more than once; ask for each case once")
+    return positions
+
+
+def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
+    """Return the positions that an integer, a slice, a list, a mask or pairs stand for."""
+    count = len(labels)
+    if isinstance(index, slice):
+        try:
+            return np.arange(count)[index]
+        except (TypeError, ValueError) as error:
+            raise InputError(f"the slice {index!r} is not usable: {error}") from error
+    if isinstance(index, tuple) and all(np.ndim(i) == 0 for i in index):
+        raise InputError(
+            f"select({index!r}) is ambiguous: write [{index!r}] for a (geometry, waveform) pair, "
+            f"or {list(index)!r} for positions"
+        )
+    try:
+        asked = np.asarray(index)
+    except ValueError:  # rows of unequal length
+        asked = np.asarray(None)
+    if asked.dtype == bool and asked.ndim == 1:
+        if len(asked) != count:
+            raise InputError(
+                f"the mask has {counted(len(asked), 'value')} but there are "
+                f"{counted(count, 'case')}; give one value per case"
+            )
+        return np.flatnonzero(asked)
+    if asked.ndim == 2:
+        return _of_pairs(labels, _checked_pairs(asked.tolist(), "select"), "select")
+    if asked.ndim > 1 or (asked.size and asked.dtype.kind not in "iu"):
+        raise InputError(
+            f"select cannot use {index!r}; give an int, a slice, a list of ints, a boolean "
+            "mask or a list of (geometry, waveform) pairs"
+        )
+    asked = np.atleast_1d(asked)
+    outside = (asked < -count) | (asked >= count)
+    if outside.any():
+        raise InputError(
+            f"there is no case {asked[outside][0]}: positions run from 0 to {count - 1}, "
+            f"or from -{count} to -1"
+        )
+    asked = asked.astype(np.intp)  # before sums that a smaller type cannot represent
+    return np.where(asked < 0, asked + count, asked)
+
+
+def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
+    """Return the positions of the cases whose labels have the wanted values."""
+    mask = np.ones(len(labels), dtype=bool)
+    for column, value in wanted.items():
+        if column not in labels:
+            raise InputError(
+                f"there is no label {column!r}; the labels are "
+                + ", ".join(map(repr, labels.columns))
+            )
+        present = labels[column].to_numpy()
+        values = [value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+        hits = [_matches(present, each) for each in values]
+        absent = [each for each, hit in zip(values, hits, strict=True) if not hit.any()]
+        if absent:
+            raise InputError(
+                f"no case has {column} = {listed(absent)}; the available values are: "
+                f"{listed(pd.unique(labels[column]).tolist())}"
+            )
+        mask &= np.any(hits, axis=0)
+    return np.flatnonzero(mask)
+
+
+def _matches(present: AnyArray, value: Any) -> npt.NDArray[np.bool_]:
+    """Mark equal labels; fractions within round-off, so that 0.55 finds 0.55."""
+    if present.dtype.kind == "f" and isinstance(value, (int, float, np.number)):
+        close: npt.NDArray[np.bool_] = np.isclose(present, float(value), atol=1e-12, equal_nan=True)
+        return close
+    return np.array([bool(each == value) for each in present.tolist()])
+
+
+def _of_pairs(labels: pd.DataFrame, pairs: Sequence[tuple[int, int]], where: str) -> Positions:
+    """Return the positions of (geometry, waveform) pairs, in their order."""
+    known = {key: i for i, key in enumerate(case_keys(labels))}
+    absent = [pair for pair in pairs if pair not in known]
+    if absent:
+        raise InputError(
+            f"{where} asks for cases that are not in this data set: (geometry, waveform) = "
+            f"{listed(absent)}; see cases.labels for the available pairs"
+        )
+    return np.array([known[pair] for pair in pairs], dtype=np.intp)
+
+
+def _checked_pairs(value: Any, where: str) -> Pairs:
+    """Return a list of (geometry, waveform) pairs, each once, as plain integers."""
+    if isinstance(value, (str, Mapping)) or not hasattr(value, "__len__") or len(value) == 0:
+        raise InputError(f"{where} must be a non-empty list of [geometry, waveform] pairs")
+    pairs: Pairs = []
+    for i, pair in enumerate(value):
+        if not (
+            isinstance(pair, (list, tuple, np.ndarray))
+            and len(pair) == 2
+            and all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in pair)
+        ):
+            raise InputError(
+                f"{where}, entry {i}, is {pair!r}; write [geometry, waveform], two whole numbers"
+            )
+        key = (int(pair[0]), int(pair[1]))
+        if key in pairs:
+            raise InputError(f"{where} names {key} twice, the second time as entry {i}")
+        pairs.append(key)
+    return pairs
+
+
+def split_positions(labels: pd.DataFrame, how: Any) -> dict[str, Positions]:
+    """Return the positions of the training and of the test cases.
+
+    Parameters
+    ----------
+    labels : DataFrame
+        Labels of the data set.
+    how : "paper", mapping or path-like
+        See :meth:`pcnde_bridge.Cases.split`.
+
+    Raises
+    ------
+    InputError
+        If training or test would be empty, or the mapping is not usable.
+    FileError
+        If the file is missing or is not JSON.
+    """
+    if isinstance(how, str) and how == "paper":
+        return _paper_split(labels)
+    if isinstance(how, Mapping):
+        return _named_split(labels, how, "the split")
+    if not isinstance(how, str | os.PathLike):
+        raise InputError(f"how must be 'paper', a mapping or the path of a JSON file, got {how!r}")
+    name = repr(str(how))
+    try:
+        mapping = json.loads(Path(how).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise DataNotFoundError(
+            f"there is no split file {name}; give 'paper', a mapping or the path of a JSON file"
+        ) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{name} is not a readable JSON file: {error}") from error
+    if not isinstance(mapping, dict):
+        raise InputError(f'{name} must hold {{"train": [...], "test": [...]}}')
+    return _named_split(labels, mapping, name)
+
+
+def _paper_split(labels: pd.DataFrame) -> dict[str, Positions]:
+    geometry, waveform = labels["geometry"].to_numpy(), labels["waveform"].to_numpy()
+    order = np.lexsort((waveform, geometry))
+    test = ((geometry == geometry.max()) | (waveform == waveform.max()))[order]
+    if test.all():
+        raise InputError(
+            "the paper's split tests on the largest geometry and the largest waveform; this "
+            f"data set has {counted(len(set(geometry)), 'geometry')} and "
+            f"{counted(len(set(waveform)), 'waveform')}, so no case is left for training; "
+            "name the cases with a mapping (a file of it), or use all without a split "
+            "(--split none)"
+        )
+    return {"train": order[~test], "test": order[test]}
+
+
+def _named_split(
+    labels: pd.DataFrame, mapping: Mapping[str, Any], name: str
+) -> dict[str, Positions]:
+    unknown = [key for key in mapping if key not in ("train", "test")]
+    if unknown:
+        raise InputError(
+            f"{name} has unknown keys: {listed(unknown)}; the keys are 'train' and 'test'"
+        )
+    parts: dict[str, Pairs] = {}
+    for key in ("train", "test"):
+        if key not in mapping:
+            raise InputError(f"{name} has no {key!r}; give it a list of [geometry, waveform] pairs")
+        parts[key] = _checked_pairs(mapping[key], f"{key!r} of {name}")
+    both = [pair for pair in parts["train"] if pair in set(parts["test"])]
+    if both:
+        raise InputError(
+            f"{name} has cases in both 'train' and 'test': (geometry, waveform) = "
+            f"{listed(both)}; a case may be in one of them"
+        )
+    return {key: _of_pairs(labels, pairs, f"{key!r} of {name}") for key, pairs in parts.items()}
