@@ -532,8 +532,8 @@ def test_longer_period_stores_less_on_the_way(model):
 
 def test_grids_that_cannot_be_used_are_refused(model, cases):
     for arguments, options, message in (
-        ((INFLOW[:, :15], AREA), {}, "15 instants per cycle; at least 16"),
-        ((1.0, AREA), {}, "0 instants per cycle"),
+        ((INFLOW[:, :15], AREA), {}, "15 time points per cycle; at least 16"),
+        ((1.0, AREA), {}, "0 time points per cycle"),
         ((INFLOW, AREA[:, :4]), {"z": Z[:4]}, "at least 5 are needed"),
         ((INFLOW, AREA), {"z": Z[::-1]}, "z must increase"),
         ((INFLOW, AREA), {"z": np.full(41, np.nan)}, r"z\[0, 0\] is nan"),
@@ -558,7 +558,7 @@ def test_cases_that_are_not_resolved_are_refused(model, cases):
         labels=cases.labels,
     )
     for refused in (lambda: model.predict(few), lambda: fitted(few)):
-        with pytest.raises(InputError, match="8 instants per cycle; at least 16"):
+        with pytest.raises(InputError, match="8 time points per cycle; at least 16"):
             refused()
 
 

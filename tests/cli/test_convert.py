@@ -25,7 +25,7 @@ def test_convert(small_cases, tmp_path, run_pcnde):
         "--points", 41, "--time-points", 32, "--labels", table, "--out", out,
     )  # fmt: skip
     assert (code, err) == (0, "")
-    assert "Saved Cases(3 cases: 2 geometries, 2 waveforms; 32 instants over 1 s" in printed
+    assert "Saved Cases(3 cases: 2 geometries, 2 waveforms; 32 time points over 1 s" in printed
     found = Cases.load(out)
     assert (found.n_times, found.n_points) == (32, 41)
     np.testing.assert_allclose(found.flow[:, :, 0][:, ::8], small_cases.inflow[[0, 4, 5], ::5])
