@@ -20,6 +20,7 @@ from pcnde_bridge.evaluation.baselines import Baseline
 from pcnde_bridge.hemodynamics.solver import warnings_only
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.predictor import predict
 
 _REPEATS, _ENOUGH_SECONDS = 5, 1.0
 
@@ -90,7 +91,7 @@ def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
     InputError
         If the cases' grid is not the model's.
     """
-    errors, taken = _measure(lambda cases: model.predict_silently(cases).variables(), sets)
+    errors, taken = _measure(lambda cases: predict(model, cases).variables(), sets)
     seconds = model.provenance.get("seconds")
     return Row(
         f"PCNDE ({model.engine.name})", errors, None if seconds is None else float(seconds), taken

@@ -15,7 +15,6 @@ from pcnde_bridge.config import (
     resolve_config,
 )
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.grid import check_grid, check_resolution
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
@@ -26,6 +25,7 @@ from pcnde_bridge.model.fit_task import (
     same_everywhere,
     score_table,
 )
+from pcnde_bridge.model.kinds import kind_of
 
 
 def sweep(
@@ -87,10 +87,7 @@ def sweep(
     settings = {name: resolve_config(config) for name, config in configs.items()}
     if held_out is not None:
         for config in settings.values():
-            if isinstance(config, ClosureConfig):
-                check_resolution(held_out.n_times, held_out.n_points)
-            else:
-                check_grid(train.grid, held_out.grid, "train")
+            kind_of(config).check_grid(train.grid, held_out.grid, "train")
     engine = same_everywhere(engine)
     keys = [(name, seed) for name in settings for seed in seeds]
     tasks = {

@@ -1,4 +1,4 @@
-"""What a model, an ensemble, a checkpoint or a data set is, without starting an engine."""
+"""Description of a file: model, ensemble, checkpoint or data set, without starting an engine."""
 
 from __future__ import annotations
 
@@ -10,32 +10,28 @@ from typing import Any
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.archive import archive_kind, read_archive
 from pcnde_bridge._utils.validation import listed
-from pcnde_bridge.config import (
-    PRESETS,
-    ClosureConfig,
-    PCNDEConfig,
-    config_from,
-)
+from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, PCNDEError
-from pcnde_bridge.model import ensemble
-from pcnde_bridge.model import pcnde as model
-from pcnde_bridge.training import closure_trainer as closures_training
-from pcnde_bridge.training import trainer as training
+from pcnde_bridge.model.serialization import (
+    ENSEMBLE_FORMAT,
+    ENSEMBLE_VERSION,
+    MODEL_FORMAT,
+    MODEL_VERSION,
+    with_prefix,
+)
+from pcnde_bridge.training import closure_trainer, trainer
 
-_FORMATS: dict[str, tuple[int, str]] = {
-    module.FORMAT: (module.FORMAT_VERSION, what)
-    for module, what in (
-        (model, "model"),
-        (ensemble, "ensemble"),
-        (training, "checkpoint"),
-        (closures_training, "checkpoint"),
-    )
+_FORMATS = {
+    MODEL_FORMAT: (MODEL_VERSION, "model"),
+    ENSEMBLE_FORMAT: (ENSEMBLE_VERSION, "ensemble"),
+    trainer.FORMAT: (trainer.FORMAT_VERSION, "checkpoint"),
+    closure_trainer.FORMAT: (closure_trainer.FORMAT_VERSION, "checkpoint"),
 }
 
 
 def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read what is needed to run a fit again.
+    """Read the facts that are needed to reproduce a fit.
 
     Parameters
     ----------
@@ -45,52 +41,56 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Whatever JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
-        ``config``, all settings; ``provenance``; and, by kind, ``grid``, ``members``,
-        ``uncertainty``, ``finished`` and ``units`` (of work).  Of a data set: ``kind``,
-        ``grid``, ``cases``, ``fingerprint`` and ``labels``.
+        Values that JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
+        ``config``, all settings; ``provenance``; and, depending on the kind, ``grid``,
+        ``members``, ``uncertainty``, ``finished`` and ``units`` (training steps).  For a data
+        set: ``kind``, ``grid``, ``cases``, ``fingerprint`` and ``labels``.
 
     Raises
     ------
     FileError
         If the file is none of these, or damaged.
     """
-    kind = archive_kind(path)
-    if kind not in _FORMATS:
+    file_format = archive_kind(path)
+    if file_format not in _FORMATS:
         with contextlib.suppress(PCNDEError):
             return _data_set(Cases.load(path))
-        # Says whether it is missing, damaged or something else.
-        read_archive(path, model.FORMAT, model.FORMAT_VERSION, "model")
+        # The reader reports whether the file is missing, damaged or something else.
+        read_archive(path, MODEL_FORMAT, MODEL_VERSION, "model")
         raise FileError(f"{path} is not a file of pcnde_bridge.")
-    version, what = _FORMATS[kind]
-    facts, arrays = read_archive(path, kind, version, what)
-    found: dict[str, Any] = {"kind": what}
+    version, kind = _FORMATS[file_format]
+    facts, arrays = read_archive(path, file_format, version, kind)
     try:
-        first, prefix = facts, ""
-        if kind == ensemble.FORMAT:
-            first, prefix = facts["members"][0], "member_0_"
-            found["members"] = len(facts["members"])
-            found["uncertainty"] = "calibrated spread of the members"
-        config = config_from(first["config"])
-        preset, changes = nearest_preset(config)
-        found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
-        found["provenance"] = dict(facts.get("provenance", {}))
-        if found["kind"] == "checkpoint":
-            vectors = len(facts.get("vectors", ()))
-            found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
-        else:
-            names = "time", "z", "period"
-            found["grid"] = _grid(*(arrays[f"{prefix}{name}"] for name in names))
-        if "uncertainty_members" in arrays:
-            found["uncertainty"] = "fits that left out parts of the training cases"
+        return {"kind": kind, **_trained(kind, facts, arrays)}
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise FileError(f"{path} is not a whole {found['kind']}: {error}.") from error
+        raise FileError(f"{path} is not a whole {kind}: {error}.") from error
+
+
+def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str, Any]:
+    """Describe a model, an ensemble or a checkpoint."""
+    found: dict[str, Any] = {}
+    settings = facts
+    if kind == "ensemble":
+        settings, arrays = facts["members"][0], with_prefix("member_0_", arrays)
+        found["members"] = len(facts["members"])
+        found["uncertainty"] = "calibrated spread of the members"
+    elif "uncertainty_members" in arrays:
+        found["uncertainty"] = "fits that left out parts of the training cases"
+    config = config_from(settings["config"])
+    preset, changes = nearest_preset(config)
+    found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
+    found["provenance"] = dict(facts.get("provenance", {}))
+    if kind == "checkpoint":
+        vectors = len(facts.get("vectors", ()))
+        found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
+    else:
+        found["grid"] = _grid(arrays["time"], arrays["z"], arrays["period"])
     return found
 
 
 def _grid(time: Array, z: Array, period: Array | float) -> dict[str, Any]:
     ends = [float(z[0]), float(z[-1])]
-    return {"instants": time.size, "period": float(period), "points": z.size, "z": ends}
+    return {"time_points": time.size, "period": float(period), "points": z.size, "z": ends}
 
 
 def _data_set(cases: Cases) -> dict[str, Any]:
@@ -137,26 +137,28 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return what :func:`describe` found as lines of a table for people."""
+    """Return the rows of a table for people from the result of :func:`describe`."""
     rows = [("kind", found["kind"])]
     if "preset" in found:
         changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
         rows.append(("preset", found["preset"] + (f", but {changes}" if changes else "")))
     if "units" in found:
-        rows.append(("finished", f"{found['finished']} of {found['units']} units of work"))
+        rows.append(("finished", f"{found['finished']} of {found['units']} training steps"))
     if "members" in found:
         rows.append(("members", str(found["members"])))
     if "grid" in found:
         grid = found["grid"]
-        text = f"{grid['instants']} instants of {grid['period']:g} s, {grid['points']} points"
+        text = f"{grid['time_points']} time points in {grid['period']:g} s, {grid['points']} points"
         rows.append(("grid", f"{text}, z = {grid['z'][0]:g} … {grid['z'][1]:g} cm"))
     if "labels" in found:
         rows.append(("cases", f"{found['cases']}, fingerprint {found['fingerprint'][:16]}…"))
-        for name, values in found["labels"].items():
-            rows.append((name, listed(values)))
-        return rows
-    facts = found["provenance"]
-    rows.append(("uncertainty", found.get("uncertainty", "none")))
+        return [*rows, *((name, listed(values)) for name, values in found["labels"].items())]
+    return [*rows, ("uncertainty", found.get("uncertainty", "none")), *_history_of_fit(found)]
+
+
+def _history_of_fit(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of the provenance."""
+    facts, rows = found["provenance"], []
     if "cases" in facts:
         rows.append(("cases", f"{facts['cases']}, fingerprint {facts['cases_fingerprint'][:16]}…"))
     if "cases_labels" in facts:

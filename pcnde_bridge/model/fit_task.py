@@ -1,4 +1,4 @@
-"""One fit as a task of many: what ensembles, cross-validation and sweeps are made of."""
+"""One fit as a task: the unit of ensembles, cross-validation and sweeps."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from pcnde_bridge.model.pcnde import PCNDE
 
 @dataclass(frozen=True)
 class FitTask:
-    """A fit, and where its errors are wanted.
+    """A fit, and the cases on which its errors are wanted.
 
     Attributes
     ----------
     train : Cases
-        To be fitted.
+        Training cases.
     config : PCNDEConfig or ClosureConfig
         Settings.
     engine : {'auto', 'julia', 'jax'} or Engine
-        Who computes.
+        Compute engine.
     seed : int
-        Of the fit.
+        Random seed of the fit.
     held_out : Cases or None
-        For :func:`fit_and_score`.
+        Further cases that :func:`fit_and_score` evaluates.
     """
 
     train: Cases
@@ -48,13 +48,13 @@ class FitTask:
 
 
 def fit_model(task: FitTask) -> dict[str, Any]:
-    """Fit, and return the model as :func:`model_of` takes it."""
+    """Fit, and return the content of the model's file, which travels between processes."""
     facts, arrays = task.fit().to_archive()
     return {"facts": facts, **arrays}
 
 
 def model_of(result: dict[str, Any], engine: EngineName | Engine) -> PCNDE:
-    """Model of what :func:`fit_model` returned."""
+    """Return the model from the result of :func:`fit_model`."""
     arrays = {name: value for name, value in result.items() if name != "facts"}
     return PCNDE.from_archive(result["facts"], arrays, engine)
 
@@ -80,22 +80,22 @@ def fit_and_score(task: FitTask) -> dict[str, float]:
 def score_table(
     tasks: Mapping[str, FitTask], outcome: Outcome, index: pd.MultiIndex
 ) -> pd.DataFrame:
-    """List what came of :func:`fit_and_score`, in columns that are there whatever failed.
+    """Return the results of :func:`fit_and_score` in columns that do not depend on failures.
 
     Parameters
     ----------
     tasks : mapping of str to FitTask
-        All of them, one or more.
+        All tasks, one or more.
     outcome : Outcome
-        What came of them.
+        Results and failures of the tasks.
     index : MultiIndex
-        Of the rows, one for each task in their order.
+        Index of the rows, one for each task in their order.
 
     Returns
     -------
     DataFrame
         Columns ``flow``, ``area`` and ``pressure`` where cases were held out, ``train_flow``
-        and so on, ``seconds``, and ``failure``, why there are no numbers, else None.
+        and so on, ``seconds``, and ``failure``: the reason for missing numbers, else None.
     """
     held_out = any(task.held_out is not None for task in tasks.values())
     prefixes = ("", "train_") if held_out else ("train_",)
@@ -119,7 +119,7 @@ def common_facts(
 
 
 def same_everywhere(engine: EngineName | Engine) -> EngineName | Engine:
-    """Replace ``auto`` by the engine that it means here, so that no worker takes another.
+    """Replace ``auto`` by the engine that it selects here, so that all workers use the same.
 
     Raises
     ------

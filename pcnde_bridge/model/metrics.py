@@ -12,44 +12,44 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 
 AREA_MARGIN = 5
-"""Points left out at either end of the area: the walls are clamped there (section 3.3)."""
+"""Number of points left out at either end of the area, where walls are clamped (section 3.3)."""
 
 POOLED = "pooled"
-"""Label of the row that pools all cases in :func:`error_table`."""
+"""Label of the row over all cases in :func:`error_table`."""
 
 
-def relative_error(predicted: Array, truth: Array) -> float:
-    """‖Y − Y_GT‖ / ‖Y_GT‖ over all numbers of an array (section 3.3).
+def relative_error(predicted: Array, reference: Array) -> float:
+    """Return ‖Y − Y_GT‖ / ‖Y_GT‖ over all values of an array (section 3.3 of the paper).
 
     Raises
     ------
     InputError
-        If the shapes differ or the truth is zero.
+        If the shapes differ or the reference is zero.
     """
-    if predicted.shape != truth.shape:
-        raise InputError(f"Cannot compare shape {predicted.shape} with shape {truth.shape}.")
-    size = np.linalg.norm(truth.ravel())
+    if predicted.shape != reference.shape:
+        raise InputError(f"Cannot compare shape {predicted.shape} with shape {reference.shape}.")
+    size = np.linalg.norm(reference.ravel())
     if size == 0:
-        raise InputError("The relative error is undefined: the truth is zero everywhere.")
-    return float(np.linalg.norm((predicted - truth).ravel()) / size)
+        raise InputError("The relative error is undefined: the reference is zero everywhere.")
+    return float(np.linalg.norm((predicted - reference).ravel()) / size)
 
 
 def compared(variable: str, values: Array) -> Array:
-    """Part of a variable (..., z) that its error counts: the area without its ends."""
+    """Return the part of a variable (..., z) that its error counts: the area without its ends."""
     if variable == "area" and values.shape[-1] > 2 * AREA_MARGIN:
         return values[..., AREA_MARGIN:-AREA_MARGIN]
     return values
 
 
 def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, float]:
-    """Relative error of each predicted variable over all cases, instants and points.
+    """Return the relative error of each variable over all cases, time points and positions.
 
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Any of flow, area and pressure.
+        Predicted flow, area and pressure, or some of them.
     cases : Cases
-        The truth.
+        Reference values.
     """
     return {
         variable: relative_error(
@@ -60,22 +60,21 @@ def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, flo
 
 
 def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
-    """Relative errors of every case, and of all pooled.
+    """Return the relative errors of every case, and over all cases.
 
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Any of flow, area and pressure.
+        Predicted flow, area and pressure, or some of them.
     cases : Cases
-        The truth.
+        Reference values.
 
     Returns
     -------
     DataFrame
-        Indexed by ``geometry`` and ``waveform``, with a column for each variable;
-        the last row, labelled ``("pooled", "pooled")``, pools all cases.
+        Index ``geometry`` and ``waveform``, a column for each variable; the last row,
+        labeled ``("pooled", "pooled")``, is over all cases.
     """
-    together = pooled_errors(predicted, cases)
     rows = [
         {
             variable: relative_error(
@@ -87,34 +86,23 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame([*rows, together], index=index)
+    return pd.DataFrame([*rows, pooled_errors(predicted, cases)], index=index)
 
 
 def pooled(table: pd.DataFrame) -> dict[str, float]:
-    """Return the errors of all cases pooled from a table of :func:`error_table`.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Its last row pools all cases.
-
-    Returns
-    -------
-    dict
-        By variable, as :func:`pooled_errors` gives them.
-    """
+    """Return the errors over all cases, by variable, from a table of :func:`error_table`."""
     return {str(variable): float(error) for variable, error in table.iloc[-1].items()}
 
 
 def coverage(intervals: Mapping[str, tuple[Array, Array]], cases: Cases) -> dict[str, float]:
-    """Share of the true values that lie inside their intervals.
+    """Return the share of the reference values inside their intervals, by variable.
 
     Parameters
     ----------
     intervals : mapping of str to pair of arrays of shape (case, time, z)
-        Lower and upper limits, as :meth:`pcnde_bridge.Prediction.interval` returns.
+        Lower and upper limits; see :meth:`pcnde_bridge.Prediction.interval`.
     cases : Cases
-        The truth.
+        Reference values.
     """
     return {
         name: float(((low <= getattr(cases, name)) & (getattr(cases, name) <= high)).mean())

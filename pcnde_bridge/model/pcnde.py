@@ -3,88 +3,59 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.archive import read_archive, write_archive
-from pcnde_bridge._utils.validation import positive, real_array, whole
-from pcnde_bridge.config import (
-    PUBLISHED_CODE,
-    ClosureConfig,
-    PCNDEConfig,
-    config_from,
-    resolve_config,
-)
+from pcnde_bridge._utils.validation import whole
+from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.grid import (
-    Grid,
-    check_grid,
-    check_resolution,
-)
-from pcnde_bridge.data.variables import SOLVER_LABELS
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.errors import (
-    FileError,
-    InputError,
-    SolveError,
-)
-from pcnde_bridge.model.metrics import error_table
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.model import predictor, serialization
+from pcnde_bridge.model.inputs import Inputs
+from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.published_weights import read_published_weights
+from pcnde_bridge.model.serialization import MODEL_FORMAT, MODEL_VERSION, Content
 from pcnde_bridge.training import history as histories
-from pcnde_bridge.training import recipes
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.provenance import provenance
-from pcnde_bridge.uncertainty.novelty import (
-    EDGE,
-    Novelty,
-    OutsideTrainingWarning,
-)
-from pcnde_bridge.uncertainty.sampling import (
-    RandomNumbers,
-    Uncertainty,
-    sample,
-)
-
-FORMAT, FORMAT_VERSION = "pcnde-model", 1
-_PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
-# pandas takes longer to make these names than a case takes to be predicted.
-_CASE = pd.Index(["case"])
-
-_Part = TypeVar("_Part", Uncertainty, Novelty)
+from pcnde_bridge.training.provenance import provenance as current_provenance
+from pcnde_bridge.uncertainty.novelty import Novelty
+from pcnde_bridge.uncertainty.sampling import Uncertainty
 
 
-class PCNDE:
+class PCNDE(predictor.Predictor):
     """Physics-constrained coupled neural differential equations of one vessel type.
 
-    Made by :meth:`fit`, :meth:`load` or :meth:`from_published_weights`.
+    Create a model by :meth:`fit`, :meth:`load` or :meth:`from_published_weights`.
 
     Attributes
     ----------
     config : PCNDEConfig or ClosureConfig
         Settings of the fit.
     parameters : Parameters or ClosureParameters
-        The learnt numbers.
+        Trained parameters.
     grid : Grid
-        Instants (s), points (cm) and period (s) of the training cases.
+        Time points (s), axial positions (cm) and period (s) of the training cases.
     engine : Engine
-        Computes the predictions.
+        Engine that computes the predictions.
     provenance : dict
-        What is needed to run the fit again: seed, batches, labels and
-        fingerprint of the cases, engine, versions, command, time.
+        Facts needed to reproduce the fit: seed, batches, labels and fingerprint of the
+        cases, engine, versions, command, time.
     uncertainty : Uncertainty or None
-        What samples of a prediction are made of; the ``physics`` preset has it.
+        Source of the samples of a prediction; only the preset ``physics`` has it.
     novelty : Novelty or None
-        Tells whether an input lies outside the training data.
+        Measure of the distance from the training data.
     """
 
     def __init__(
@@ -98,7 +69,8 @@ class PCNDE:
         uncertainty: Uncertainty | None = None,
         novelty: Novelty | None = None,
     ) -> None:
-        recipes.check(config, parameters, grid)
+        self._kind = kind_of(config)
+        self._kind.check(config, parameters, grid, uncertainty)
         self.config = config
         self.parameters = parameters
         self.grid = grid
@@ -118,28 +90,28 @@ class PCNDE:
         checkpoint: str | os.PathLike[str] | None = None,
         progress: bool | Callable[[Iteration], None] = True,
     ) -> PCNDE:
-        """Train on averaged 3D simulations, as section 2.4 of the paper does.
+        """Train on averaged 3D simulations, as in section 2.4 of the paper.
 
         Parameters
         ----------
         cases : Cases
-            The training cases.
+            Training cases.
         config : PCNDEConfig, ClosureConfig or str
-            Settings, or a preset's name: ``paper`` as published; ``fast`` the same
+            Settings, or the name of a preset: ``paper`` as published; ``fast`` the same
             equations trained in seconds; ``physics`` the most accurate, on any
             grid, with uncertainty.
         engine : {'auto', 'julia', 'jax'} or Engine
-            Who computes; see :func:`pcnde_bridge.engines.select_engine`.
+            Compute engine; see :func:`pcnde_bridge.engines.select_engine`.
         seed : int
-            Gives the first weights and the order of the batches.  The same seed
+            Random seed for the initial weights and the batch order.  The same seed
             on the same machine and engine gives the same bits.
         checkpoint : path-like, optional
-            File that keeps the state of training after every epoch.  If it
-            exists, training continues from it, to the same result as without
-            the interruption, bit for bit.  Ctrl-C writes it too.  The state
-            before is kept beside it (``.previous``), should it be damaged.
+            File that stores the state of training after every epoch and after Ctrl-C.
+            If it exists, training resumes from it, with the same result, bit for
+            bit, as without the interruption.  The state before is kept beside it
+            (``.previous``) in case the file is damaged.
         progress : bool or callable
-            Show progress, or call with every
+            Whether to show progress; or a function that is called with every
             :class:`~pcnde_bridge.training.history.Iteration`.
 
         Returns
@@ -155,7 +127,7 @@ class PCNDE:
         FileError
             If the checkpoint cannot be read or written.
         EngineUnavailableError
-            If the engine asked for cannot be used.
+            If the engine cannot be used.
         SolveError
             If an equation diverges.
 
@@ -169,18 +141,18 @@ class PCNDE:
         if not isinstance(cases, Cases):
             raise InputError(
                 f"PCNDE.fit needs a Cases, got {type(cases).__name__}. "
-                "Make one with load_cases(path) or Cases(flow=..., ...)."
+                "Create one with load_cases(path) or Cases(flow=..., ...)."
             )
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        trained = recipes.train(cases, settings, engine, seed, checkpoint, progress)
+        trained = kind_of(settings).train(cases, settings, engine, seed, checkpoint, progress)
         return cls(
             trained.config,
             trained.parameters,
             cases.grid,
             engine,
-            {**provenance(cases, engine, seed), **trained.facts},
+            {**current_provenance(cases, engine, seed), **trained.facts},
             trained.history,
             trained.uncertainty,
             Novelty.fit(cases.inflow, cases.area_undeformed, cases.z),
@@ -193,7 +165,7 @@ class PCNDE:
         config: PCNDEConfig = PUBLISHED_CODE,
         engine: EngineName | Engine = "auto",
     ) -> PCNDE:
-        """Model with the authors' published weights of flow and area.
+        """Create the model with the authors' published weights of flow and area.
 
         It works on the grid of the published data, with the published code's
         form of the Fourier area, and solves at rtol 1e-6.  It predicts no
@@ -202,24 +174,17 @@ class PCNDE:
         Parameters
         ----------
         folder : path-like
-            Holds the ``.jld2`` files, itself or in ``trained_weights``.
+            Folder of the ``.jld2`` files, or of their folder ``trained_weights``.
         config : PCNDEConfig
-            Settings; the published code's by default.
+            Settings; by default those of the published code.
         engine : {'auto', 'julia', 'jax'} or Engine
-            Who computes.
+            Compute engine.
 
         Raises
         ------
         FileError
             If the files are missing or damaged.
         """
-        from pcnde_bridge.data.published import (
-            DT,
-            DZ,
-            PERIOD,
-            SHAPE,
-        )
-
         if config is PUBLISHED_CODE:
             config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
         _, n_times, n_points = SHAPE
@@ -229,13 +194,13 @@ class PCNDE:
 
     @property
     def history(self) -> pd.DataFrame:
-        """Every iteration of the fit: stage, epoch, batch, iteration, loss, seconds."""
+        """Iterations of the fit: stage, epoch, batch, iteration, loss, seconds."""
         return histories.to_frame(self._history)
 
     @property
     def has_pressure(self) -> bool:
-        """Whether the pressure stages are there."""
-        return isinstance(self.parameters, ClosureParameters) or self.parameters.has_pressure
+        """Whether the model predicts the pressure."""
+        return self._kind.has_pressure(self.parameters)
 
     def predict(
         self,
@@ -252,61 +217,44 @@ class PCNDE:
         Parameters
         ----------
         inflow : array of shape (case, time) or (time,), or Cases
-            Q at the inlet, mL/s, at the model's instants (:attr:`grid`); from
-            cases, their flow at the first point.  A model of the ``physics``
-            preset takes any number of equally spaced instants of one cycle.
+            Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; of
+            cases, their flow at the first point.  A model of the preset ``physics``
+            accepts any number of equally spaced time points of one cycle.
         area_undeformed : array of shape (case, z) or (z,)
-            S_u, cm², at the model's points, or at ``z``.  One waveform goes with
-            many geometries and the other way round.
+            Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
+            waveform is combined with many geometries, and the other way round.
         z : array of shape (z,), optional
-            Points, cm, where they are not the model's (``physics`` preset).
+            Axial positions, cm, if they differ from the model's (preset ``physics``).
         period : float, optional
-            s, where it is not the model's (``physics`` preset).
+            Period, s, if it differs from the model's (preset ``physics``).
         samples : int
-            Draws of the prediction (``physics`` preset), at least 2: the result's ``samples``,
-            ``standard_deviation()`` and ``interval()``.  They take memory of that many
-            predictions.
+            Number of samples (preset ``physics``), 0 or at least 2, for the result's
+            ``samples``, ``standard_deviation()`` and ``interval()``.  They need the
+            memory of that many predictions.
         seed : int
-            Of the draws.
+            Random seed of the samples.
 
         Returns
         -------
         Prediction
-            Arrays (case, time, z), and ``to_frame()``; ``novelty`` says how far each
-            case lies from the training data.
+            Arrays of shape (case, time, z), and ``to_frame()``; ``novelty`` is the
+            distance of each case from the training data.
 
         Warns
         -----
         OutsideTrainingWarning
-            If an input lies outside the training data, or the period is more than a
-            tenth off, which is where it scores 1.
+            If an input lies outside the training data; the period does if it is more
+            than a tenth off.
 
         Raises
         ------
         InputError
-            If shapes or the grid are not the model's, or a value is not usable.
+            If a shape, the grid or a value is not usable.
         SolveError
             If the equations diverge for an input.
         """
-        return self.warned(self.predict_silently(inflow, area_undeformed, z, period, samples, seed))
-
-    def predict_silently(
-        self,
-        inflow: npt.ArrayLike | Cases,
-        area_undeformed: npt.ArrayLike | None = None,
-        z: npt.ArrayLike | None = None,
-        period: float | None = None,
-        samples: int = 0,
-        seed: int = 0,
-    ) -> Prediction:
-        """Predict as :meth:`predict` does, without its warning of extrapolation."""
-        if isinstance(inflow, Cases):
-            if area_undeformed is not None or z is not None or period is not None:
-                raise InputError("Give cases, or inflow and area_undeformed, not both.")
-            return self._predict_cases(inflow, samples, seed)
-        q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        numbers, score = self._random_numbers(samples, seed, len(q)), self._score(q, s_u, grid)
-        return self._predict(q, s_u, grid, _numbered(0, len(q)), score, numbers)
+        given = inflow, area_undeformed, z, period
+        return predictor.predict(self, *given, samples, seed, warn=True)
 
     def predict_batches(
         self,
@@ -319,25 +267,25 @@ class PCNDE:
         samples: int = 0,
         seed: int = 0,
     ) -> Iterator[Prediction]:
-        """Predict as :meth:`predict` does, some cases after the others.
+        """Predict as :meth:`predict` does, batch by batch.
 
-        Only the predictions that are still referred to take memory: a batch of 256 cases of
-        100 instants and 101 points has 62 MB, where 10 000 cases have 2.4 GB, and so has each
-        sample.
+        Only predictions that are still in use need memory: a batch of 256 cases with
+        100 time points and 101 points has 62 MB, 10 000 cases have 2.4 GB; each sample
+        needs as much again.
 
         Parameters
         ----------
         inflow, area_undeformed, z, period, samples, seed
-            As of :meth:`predict`; the draws are the same.
+            See :meth:`predict`; the samples are the same.
         batch : int
-            Cases in each prediction; fewer in the last.
+            Number of cases in each prediction; the last may have fewer.
 
         Returns
         -------
         iterator of Prediction
-            In the order of the cases; the column ``case`` of ``labels`` counts all.
-            Arrays are each prediction's own.  What is wrong with the inputs is raised,
-            and warned of, before the first.
+            Predictions in the order of the cases; the column ``case`` of ``labels``
+            numbers all cases.  Each prediction has its own arrays.  Errors and warnings
+            about the inputs come before the first prediction.
 
         Warns
         -----
@@ -347,248 +295,35 @@ class PCNDE:
         Raises
         ------
         InputError
-            As :meth:`predict`, or if ``batch`` is not a positive whole number.
+            If an input is not usable, or ``batch`` is not a positive whole number.
         SolveError
-            If the equations diverge for an input; when its batch is asked for.
+            If the equations diverge for an input, when its batch is computed.
 
         Examples
         --------
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        return self.batches(inflow, area_undeformed, batch, z, period, samples, seed, warns=True)
+        given = inflow, area_undeformed, batch, z, period
+        return predictor.predict_batches(self, *given, samples, seed)
 
-    def batches(
-        self,
-        inflow: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike,
-        batch: int,
-        z: npt.ArrayLike | None,
-        period: float | None,
-        samples: int = 0,
-        seed: int = 0,
-        *,
-        warns: bool,
-    ) -> Iterator[Prediction]:
-        """Predict as :meth:`predict_batches` does, and warn its caller or nobody."""
-        batch = whole("batch", batch, 1)
-        q, s_u, grid = self._inputs(inflow, area_undeformed, z, period)
-        numbers, score = self._random_numbers(samples, seed, len(q)), self._score(q, s_u, grid)
-        if warns:
-            self._warn(score, q, s_u, grid, level=4)
-
-        def predictions() -> Iterator[Prediction]:
-            for start in range(0, len(q), batch):
-                rows = slice(start, min(start + batch, len(q)))
-                labels = _numbered(rows.start, rows.stop)
-                novelty = None if score is None else score[rows]
-                some = None if numbers is None else numbers.select(rows)
-                try:
-                    yield self._predict(q[rows], s_u[rows], grid, labels, novelty, some)
-                except SolveError as error:
-                    raise SolveError(
-                        f"Of the batch that begins with case {start}: {error}"
-                    ) from error
-
-        return predictions()
-
-    def _inputs(
-        self,
-        inflow: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike | None,
-        z: npt.ArrayLike | None,
-        period: float | None,
-    ) -> tuple[Array, Array, Grid]:
-        """Validate inputs, and return them case by case with their grid."""
-        if area_undeformed is None:
-            raise InputError("predict needs area_undeformed beside the inflow.")
-        grid = self._grid_of(inflow, z, period)
-        q = _rows("inflow", inflow, grid.time.size, "instants")
-        s_u = _rows("area_undeformed", area_undeformed, grid.z.size, "points")
-        if (s_u <= 0).any():
-            case, point = np.argwhere(s_u <= 0)[0]
-            raise InputError(
-                f"area_undeformed[{case}, {point}] is {s_u[case, point]}; areas are positive (cm²)."
-            )
-        count = max(len(q), len(s_u))
-        if not {len(q), len(s_u)} <= {1, count}:
-            raise InputError(
-                f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give as many of one "
-                "as of the other, or a single one."
-            )
-        q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
-        return q, s_u, grid
-
-    def _predict_cases(self, cases: Cases, samples: int, seed: int) -> Prediction:
-        self.check_grid(cases)
-        grid = cases.grid
-        inputs = cases.inflow, cases.area_undeformed
-        score = self._score(*inputs, grid)
-        labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
-        numbers = self._random_numbers(samples, seed, len(cases))
-        return self._predict(*inputs, grid, labels, score, numbers)
-
-    @property
-    def any_grid(self) -> bool:
-        """Whether the model works on other grids than that of its training (``physics``)."""
-        return isinstance(self.config, ClosureConfig)
-
-    def _grid_of(
-        self, inflow: npt.ArrayLike, z: npt.ArrayLike | None, period: float | None
-    ) -> Grid:
-        """Grid of a prediction from arrays."""
-        if not self.any_grid:
-            if z is not None or period is not None:
-                raise InputError(
-                    "This model works on the points and the period of its training only: leave z "
-                    "and period out. A model of the physics preset takes others."
-                )
-            return self.grid
-        shape = np.shape(inflow)
-        n_times = shape[-1] if shape else 0
-        points: Array = self.grid.z
-        if z is not None:
-            points = _rows("z", z, np.size(z), "points")[0]
-            if (np.diff(points) <= 0).any():
-                raise InputError("z must increase.")
-        check_resolution(n_times, points.size)
-        cycle = self.grid.period if period is None else positive("period", period, "s")
-        time = self.grid.time[0] + np.arange(float(n_times)) * (cycle / n_times)
-        return Grid(time, points, cycle)
-
-    def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
-        """Random numbers of the draws for all cases, or None for no draws."""
-        samples, seed = whole("samples", samples), whole("seed", seed)
-        if samples == 0:
-            return None
-        if samples == 1:
-            raise InputError("samples must be 0 or at least 2: one draw has no deviation.")
-        if self.uncertainty is None:
-            raise InputError(
-                "This model has no uncertainty to draw samples from. Fit it with the preset "
-                "'physics' (and correction.folds > 0)."
-            )
-        return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
-
-    def _predict(
-        self,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        labels: pd.DataFrame,
-        score: Array | None,
-        numbers: RandomNumbers | None,
-    ) -> Prediction:
-        args = inflow, area_undeformed, grid
-        solution = recipes.predict(self.engine, self.config, self.parameters, *args)
-        drawn = None
-        if numbers is not None:
-            assert self.uncertainty is not None
-            assert isinstance(self.config, ClosureConfig)
-            assert isinstance(self.parameters, ClosureParameters)
-            drawn = sample(
-                self.engine.closures,
-                self.parameters,
-                self.uncertainty,
-                solution,
-                *args,
-                self.config,
-                numbers,
-            )
+    def _solve(self, inputs: Inputs) -> Prediction:
+        model = self.engine, self.config, self.parameters
+        solution = self._kind.predict(*model, inputs)
+        samples = None
+        if inputs.random is not None and self.uncertainty is not None:
+            samples = self._kind.sample(*model, inputs, self.uncertainty, solution)
+        grid = inputs.grid
         return Prediction(
-            *solution, area_undeformed, grid.time, grid.z, grid.period, labels, score, drawn
+            *solution,
+            inputs.area_undeformed,
+            grid.time,
+            grid.z,
+            grid.period,
+            inputs.labels,
+            inputs.novelty,
+            samples,
         )
-
-    def warned(self, prediction: Prediction) -> Prediction:
-        """Warn the caller's caller, who called :meth:`predict`, of inputs outside the training."""
-        p = prediction
-        self._warn(
-            p.novelty, p.flow[:, :, 0], p.area_undeformed, Grid(p.time, p.z, p.period), level=4
-        )
-        return p
-
-    def novelty_scores(self, inflow: Array, area_undeformed: Array, grid: Grid) -> dict[str, Array]:
-        """Say how far each case lies from the training data, by what of it.
-
-        Parameters
-        ----------
-        inflow : array of shape (case, time)
-            Q at the inlet, mL/s.
-        area_undeformed : array of shape (case, z)
-            S_u, cm².
-        grid : Grid
-            Of the cases: instants, points and period.
-
-        Returns
-        -------
-        dict of str to array of shape (case,)
-            Scores of ``inflow``, ``undeformed area`` and ``period``; 1 is the edge of the
-            training data, and the largest is the prediction's ``novelty``.  Empty if the
-            model does not know its training data.
-        """
-        if self.novelty is None:
-            return {}
-        of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
-        of_period = abs(grid.period / self.grid.period - 1) / _PERIOD_EDGE
-        return {
-            "inflow": of_inflow,
-            "undeformed area": of_area,
-            "period": np.full(len(inflow), of_period),
-        }
-
-    def _score(self, inflow: Array, area_undeformed: Array, grid: Grid) -> Array | None:
-        scores = self.novelty_scores(inflow, area_undeformed, grid)
-        return np.max(list(scores.values()), axis=0) if scores else None
-
-    def _warn(
-        self,
-        score: Array | None,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        level: int = 3,
-    ) -> None:
-        """Warn of inputs outside the training data; the level is that of the caller to blame."""
-        outside = 0 if score is None else int((score > EDGE).sum())
-        if score is None or outside == 0:
-            return
-        worst = int(score.argmax())
-        scores = self.novelty_scores(inflow[[worst]], area_undeformed[[worst]], grid)
-        what = max(scores, key=lambda name: scores[name][0])
-        warnings.warn(
-            f"{outside} of {len(score)} cases lie outside the training data, most of all "
-            f"case {worst} with its {what} (score {score[worst]:.2f}; 1 is the edge of the "
-            "training data). The prediction extrapolates.",
-            OutsideTrainingWarning,
-            stacklevel=level,
-        )
-
-    def evaluate(self, cases: Cases) -> pd.DataFrame:
-        """Relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
-
-        The area is compared without the first and last five points.
-
-        Parameters
-        ----------
-        cases : Cases
-            The truth.
-
-        Returns
-        -------
-        DataFrame
-            One row for each case, indexed by geometry and waveform, and a last
-            row ``("pooled", "pooled")`` over all cases, as in the paper's table;
-            a column for each predicted variable.
-
-        Raises
-        ------
-        InputError
-            If the cases' grid is not the model's.
-        """
-        if not isinstance(cases, Cases):
-            raise InputError(f"evaluate needs Cases, which bring the truth, got {type(cases)}.")
-        # Cases that bring the truth need no warning of extrapolation: their errors show it.
-        return error_table(self._predict_cases(cases, 0, 0).variables(), cases)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model into one file, atomically and without pickle.
@@ -598,41 +333,40 @@ class PCNDE:
         FileError
             If the file cannot be written.
         """
-        write_archive(path, FORMAT, FORMAT_VERSION, *self.to_archive())
-
-    def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-        """Return all that a file of the model holds: facts for JSON, and arrays."""
-        facts = {"config": self.config.to_dict(), "provenance": self.provenance}
-        arrays = {
-            "time": self.grid.time,
-            "z": self.grid.z,
-            "period": np.array(self.grid.period),
-            "history": histories.to_array(self._history),
-            **dict(self.parameters),
-        }
-        for prefix, part in (("uncertainty", self.uncertainty), ("novelty", self.novelty)):
-            if part is not None:
-                arrays |= {f"{prefix}_{name}": array for name, array in part}
-        return facts, arrays
+        write_archive(path, MODEL_FORMAT, MODEL_VERSION, *self.to_archive())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> PCNDE:
-        """Read a model back.
+        """Read a model that :meth:`save` has written.
 
         Parameters
         ----------
         path : path-like
-            File written by :meth:`save`.
+            File of the model.
         engine : {'auto', 'julia', 'jax'} or Engine
-            Who computes the predictions; need not be the engine of the fit.
+            Compute engine of the predictions; may differ from the engine of the fit.
 
         Raises
         ------
         FileError
             If the file is missing, truncated, foreign, or of a newer version.
         """
-        facts, arrays = read_archive(path, FORMAT, FORMAT_VERSION, "model")
+        facts, arrays = read_archive(path, MODEL_FORMAT, MODEL_VERSION, "model")
         return cls.from_archive(facts, arrays, engine, str(path))
+
+    def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+        """Return the content of the model's file: facts for JSON, and arrays."""
+        return serialization.to_archive(
+            Content(
+                self.config,
+                self.parameters,
+                self.grid,
+                self.provenance,
+                self._history,
+                self.uncertainty,
+                self.novelty,
+            )
+        )
 
     @classmethod
     def from_archive(
@@ -642,77 +376,20 @@ class PCNDE:
         engine: EngineName | Engine = "auto",
         where: str = "The archive",
     ) -> PCNDE:
-        """Inverse of :meth:`to_archive`; ``where`` names the source in messages.
+        """Create a model from the result of :meth:`to_archive`; ``where`` names the source.
 
         Raises
         ------
         FileError
-            If something is missing or does not fit.
+            If a part is missing or does not fit.
         """
-        try:
-            config = config_from(facts["config"])
-            parameters = recipes.parameters_from(config, arrays)
-            uncertainty = _part(Uncertainty, "uncertainty", arrays)
-            novelty = _part(Novelty, "novelty", arrays)
-            grid = Grid(arrays["time"], arrays["z"], float(arrays["period"]))
-            history = tuple(histories.from_array(arrays["history"]))
-            provenance = dict(facts["provenance"])
-            recipes.check(config, parameters, grid)
-            if novelty is not None:
-                novelty.check()
-            if uncertainty is not None and isinstance(parameters, ClosureParameters):
-                uncertainty.check(parameters.correction.size)
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise FileError(f"{where} is not a whole model: {error}.") from error
-        chosen = select_engine(engine)
-        return cls(config, parameters, grid, chosen, provenance, history, uncertainty, novelty)
+        content = serialization.from_archive(facts, arrays, where)
+        return cls(engine=select_engine(engine), **content._asdict())
 
     def __repr__(self) -> str:
-        """Return the grid's size, engine and source."""
+        """Return the variables, the size of the grid and the engine."""
         variables = "flow, area, pressure" if self.has_pressure else "flow, area"
         return (
-            f"PCNDE({variables}; {self.grid.time.size} instants × {self.grid.z.size} points; "
+            f"PCNDE({variables}; {self.grid.time.size} time points × {self.grid.z.size} points; "
             f"engine {self.engine.name})"
         )
-
-    def check_grid(self, cases: Cases) -> None:
-        """Raise unless the model can predict on the cases' grid.
-
-        Raises
-        ------
-        InputError
-            Naming the first difference.
-        """
-        if self.any_grid:
-            check_resolution(cases.n_times, cases.n_points)
-        else:
-            check_grid(self.grid, cases.grid)
-
-
-def _rows(name: str, values: npt.ArrayLike, length: int, of: str) -> Array:
-    """Validate (case, length) or (length,) and return the former, a copy."""
-    array = np.atleast_2d(real_array(name, values))
-    if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
-        hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
-        raise InputError(
-            f"{name} must have the shape (case, {length}), {length} {of} as in the training data, "
-            f"got {np.shape(values)}.{hint}"
-        )
-    finite = np.isfinite(array)
-    if not finite.all():
-        bad = np.argwhere(~finite)
-        case, i = bad[0]
-        raise InputError(f"{name}[{case}, {i}] is {array[case, i]} ({len(bad)} such values).")
-    return array
-
-
-def _numbered(start: int, stop: int) -> pd.DataFrame:
-    """Labels of cases that have no other than their number."""
-    return pd.DataFrame(np.arange(start, stop)[:, None], columns=_CASE, copy=False)
-
-
-def _part(of: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | None:
-    """Make an optional part of a model from those arrays of its file that are its own."""
-    start = f"{prefix}_"
-    mine = {k.removeprefix(start): v for k, v in arrays.items() if k.startswith(start)}
-    return of(**mine) if mine else None

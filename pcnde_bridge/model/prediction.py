@@ -1,4 +1,4 @@
-"""What a model predicts: arrays, and the same as a tidy frame."""
+"""Result of a prediction: arrays, tidy frame, xarray data set, files."""
 
 from __future__ import annotations
 
@@ -35,19 +35,21 @@ class Prediction:
     area : array of shape (case, time, z)
         S, cm².
     pressure : array of shape (case, time, z) or None
-        p, dyn/cm²; None from a model without pressure stages.
+        p, dyn/cm²; None if the model has no pressure stages.
     area_undeformed : array of shape (case, z)
-        S_u, cm², as given.
-    time, z : array
-        s and cm.
+        Undeformed area of the inputs, cm².
+    time : array of shape (time,)
+        Time points, s.
+    z : array of shape (z,)
+        Axial positions, cm.
     period : float
-        s.
+        Length of the cycle, s.
     labels : DataFrame
         One row for each case.
     novelty : array of shape (case,) or None
-        How far the inputs lie from the training data; 1 is its edge.
+        Distance of the inputs from the training data; 1 is their edge.
     samples : mapping of str to array of shape (sample, case, time, z), or None
-        Draws of flow, area and pressure, if they were asked for.
+        Samples of flow, area and pressure, if requested.
     """
 
     flow: Array
@@ -65,32 +67,36 @@ class Prediction:
         return len(self.flow)
 
     def variables(self) -> dict[str, Array]:
-        """Return the predicted variables by name, without those that are missing."""
+        """Return the predicted variables by name."""
         found = {"flow": self.flow, "area": self.area, "pressure": self.pressure}
         return {name: values for name, values in found.items() if values is not None}
 
     def standard_deviation(self) -> dict[str, Array]:
-        """Return the standard deviation of each variable's draws, (case, time, z).
+        """Return the standard deviation of each variable, shape (case, time, z).
 
-        That of a sample, with one draw less in the denominator; of few draws it is uncertain.
+        It is the corrected sample standard deviation; from few samples it is uncertain.
 
         Raises
         ------
         InputError
-            If the prediction was made without samples.
+            If the prediction has no samples.
         """
-        return {name: drawn.std(axis=0, ddof=1) for name, drawn in self._drawn().items()}
+        if self.samples is None:
+            raise InputError(
+                "The prediction has no samples: request some, predict(..., samples=64)."
+            )
+        return {name: values.std(axis=0, ddof=1) for name, values in self.samples.items()}
 
     def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
-        """Return the lower and upper limit of each variable, (case, time, z).
+        """Return the lower and upper limit of each variable, each of shape (case, time, z).
 
-        The limits are the prediction, less and plus the deviation times the normal
-        quantile: calibrated at 90 % on training cases that were left out.
+        The limits are the prediction minus and plus the standard deviation times the normal
+        quantile, which is calibrated at 90 % on training cases that were left out.
 
         Parameters
         ----------
         level : float
-            Share of values that should lie inside.
+            Share of the values that should lie inside.
 
         Raises
         ------
@@ -100,28 +106,21 @@ class Prediction:
         if not isinstance(level, Real) or not 0 < level < 1:
             raise InputError(f"level must lie between 0 and 1, got {level!r}.")
         factor = NormalDist().inv_cdf((1 + level) / 2)
-        width = {name: factor * deviation for name, deviation in self.standard_deviation().items()}
+        width = {name: factor * values for name, values in self.standard_deviation().items()}
         return {
             name: (values - width[name], values + width[name])
             for name, values in self.variables().items()
         }
 
-    def _drawn(self) -> Mapping[str, Array]:
-        if self.samples is None:
-            raise InputError(
-                "The prediction has no samples: ask for some, predict(..., samples=64)."
-            )
-        return self.samples
-
     def to_frame(self) -> pd.DataFrame:
-        """Tidy frame: one row for each case, instant and point.
+        """Return a tidy frame with one row for each case, time point and axial position.
 
         Returns
         -------
         DataFrame
             Columns of the labels, then ``time`` (s), ``z`` (cm), ``flow`` (mL/s),
             ``area`` (cm²), ``pressure`` (dyn/cm², if predicted) and
-            ``area_undeformed`` (cm²); of a prediction with samples, also
+            ``area_undeformed`` (cm²); with samples also
             ``flow_standard_deviation`` and so on, in the same units.
         """
         n_cases, n_times, n_points = self.flow.shape
@@ -144,9 +143,9 @@ class Prediction:
         -------
         xarray.Dataset
             ``flow``, ``area`` and ``pressure`` with the dimensions (case, time, z),
-            ``area_undeformed`` (case, z), ``novelty`` (case) and, of a prediction with
-            samples, ``flow_samples`` and so on (sample, case, time, z); the labels are
-            coordinates of ``case``, units stand in the attributes.
+            ``area_undeformed`` (case, z), ``novelty`` (case) and, with samples,
+            ``flow_samples`` and so on (sample, case, time, z); the labels are
+            coordinates of ``case``, the units are in the attributes.
 
         Raises
         ------
@@ -168,30 +167,30 @@ class Prediction:
         coordinates = {
             name: (name, getattr(self, name), {"units": UNITS[name]}) for name in axes[1:]
         }
-        made: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
-        return made
+        result: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
+        return result
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
-        """Write the prediction to a file, in the format that its ending says.
+        """Write the prediction to a file in the format that its ending names.
 
         Parameters
         ----------
         path : path-like
             ``.csv`` (also ``.csv.gz``): the frame; ``.npz`` or ``.h5``: a data set;
-            ``.vtp``: a centerline with arrays for each time step, for many cases one
-            file each; ``.pvd``: the same for ParaView, as an animation.
+            ``.vtp``: a centerline with arrays for each time step, one file for each
+            case; ``.pvd``: the same as an animation for ParaView.
 
         Returns
         -------
         list of Path
-            The files.
+            Files that were written.
 
         Raises
         ------
         FileError
-            If the ending is another one or the file cannot be written.
+            If the ending is unknown or the file cannot be written.
         InputError
-            If a data set is asked for of a prediction without pressure.
+            If the file is a data set, but the prediction has no pressure.
         MissingExtraError
             If VTK is needed and not installed (extra ``vtk``).
         """
@@ -200,7 +199,7 @@ class Prediction:
     def to_cases(self) -> Cases:
         """Return the prediction as a data set.
 
-        Of arrays, each case is a geometry of its own, under waveform 0.
+        If the inputs were arrays, each case is a geometry of its own with waveform 0.
 
         Raises
         ------
@@ -211,7 +210,7 @@ class Prediction:
             raise InputError("The model has no pressure stages, so this is not a whole data set.")
         labels = self.labels
         if "geometry" not in labels:
-            # What batches number throughout stays apart when their files are joined.
+            # Batches number their cases throughout, so that joined files have unique labels.
             labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
         return Cases(
             self.flow,

@@ -1,4 +1,4 @@
-"""Reader of the authors' published weights (``trained_weights/*.jld2``, HDF5 inside)."""
+"""Reader of the authors' published weights (``trained_weights/*.jld2``, which are HDF5 files)."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ FILES = {
     "intermediate_area": "ptrained_BFGS_S.jld2",
     "fourier_area": "pFourier_trained.jld2",
 }
-"""The files that belong to a stage.
+"""File of each stage.
 
-The two pressure files are left out: the second holds 300 numbers where the
-paper's equation has 202, and they do not give the paper's pressure errors.
+The two pressure files are not read: the second holds 300 numbers where the
+paper's equation has 202, and they do not reproduce the paper's pressure errors.
 """
 
 
@@ -32,22 +32,22 @@ def read_published_weights(folder: str | os.PathLike[str]) -> Parameters:
     Parameters
     ----------
     folder : path-like
-        Holds the ``.jld2`` files, itself or in ``trained_weights``.
+        Folder of the ``.jld2`` files, or of their folder ``trained_weights``.
 
     Raises
     ------
     DataNotFoundError
-        If a file is not there.
+        If a file is missing.
     FileError
-        If a file is not readable, or not of the expected length.
+        If a file cannot be read, or has another length than expected.
     """
     folder = Path(folder)
     inner = folder / "trained_weights"
     folder = inner if inner.is_dir() else folder
     needed = sizes(PUBLISHED_CODE, *SHAPE[1:])
     vectors = {stage: _read(folder / name, needed[stage]) for stage, name in FILES.items()}
-    none = np.empty(0)
-    return Parameters(**vectors, temporal_pressure=none, spatial_pressure=none)
+    empty = np.empty(0)
+    return Parameters(**vectors, temporal_pressure=empty, spatial_pressure=empty)
 
 
 def _read(path: Path, size: int) -> Array:

@@ -20,9 +20,10 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.model.inputs import Inputs
+from pcnde_bridge.model.kinds import solve
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.studies._shared import check_single
-from pcnde_bridge.training import recipes
 
 NoisyInput = Literal["inflow", "area_undeformed"]
 
@@ -139,10 +140,10 @@ def noise_study(
     trained = (model.engine, model.config, model.parameters)
     blocks = {i: slice(i, i + size) for i in range(0, count * size, size)}
     tasks = {
-        f"samples from {i}": (*trained, inflow[rows], area_undeformed[rows], case.grid)
+        f"samples from {i}": (*trained, Inputs(inflow[rows], area_undeformed[rows], case.grid))
         for i, rows in blocks.items()
     }
-    solutions = each(recipes.predict, tasks, executor, progress=False)
+    solutions = each(solve, tasks, executor, progress=False)
     values = {
         name: np.concatenate(arrays)
         for name, arrays in zip(VARIABLES, zip(*solutions, strict=True), strict=True)

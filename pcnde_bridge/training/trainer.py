@@ -168,7 +168,7 @@ class Trainer:
     ) -> None:
         check(cases, config)
         self._cases = cases
-        self._config = config
+        self.config = self._config = config
         self._engine = engine
         self._grid = cases.grid
         self._checkpoint = None

@@ -1,0 +1,158 @@
+"""Checked inputs of a prediction, one row for each case."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import (
+    check_finite,
+    check_increasing,
+    check_values,
+    positive,
+    real_array,
+)
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid, check_resolution
+from pcnde_bridge.data.variables import SOLVER_LABELS
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.uncertainty.sampling import RandomNumbers
+
+# pandas takes longer to create this index than an engine to predict a case.
+_CASE = pd.Index(["case"])
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that a prediction depends on beside the model.
+
+    Attributes
+    ----------
+    inflow : array of shape (case, time)
+        Flow rate at the inlet, mL/s.
+    area_undeformed : array of shape (case, z)
+        Undeformed area, cm².
+    grid : Grid
+        Time points (s), axial positions (cm) and period (s).
+    labels : DataFrame
+        One row for each case.
+    novelty : array of shape (case,) or None
+        Distance from the training data; 1 is their edge.
+    random : RandomNumbers or None
+        Random numbers of the samples; None for no samples.
+    """
+
+    inflow: Array
+    area_undeformed: Array
+    grid: Grid
+    labels: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
+    novelty: Array | None = None
+    random: RandomNumbers | None = None
+
+    def __len__(self) -> int:
+        return len(self.inflow)
+
+    def rows(self, start: int, stop: int) -> Inputs:
+        """Return consecutive cases of inputs that have no labels but their numbers."""
+        rows = slice(start, min(stop, len(self)))
+        return Inputs(
+            self.inflow[rows],
+            self.area_undeformed[rows],
+            self.grid,
+            _numbered(rows.start, rows.stop),
+            None if self.novelty is None else self.novelty[rows],
+            None if self.random is None else self.random.select(rows),
+        )
+
+
+def inputs_from_cases(cases: Cases) -> Inputs:
+    """Return the inputs of cases; the labels of the truth's own solution are left out."""
+    labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
+    return Inputs(cases.inflow, cases.area_undeformed, cases.grid, labels)
+
+
+def inputs_from_arrays(
+    inflow: npt.ArrayLike,
+    area_undeformed: npt.ArrayLike | None,
+    z: npt.ArrayLike | None,
+    period: float | None,
+    trained: Grid,
+    any_grid: bool,
+) -> Inputs:
+    """Check the arrays of a user, and repeat a single waveform or geometry for all cases.
+
+    Parameters
+    ----------
+    inflow, area_undeformed, z, period
+        Arguments of :meth:`pcnde_bridge.PCNDE.predict`.
+    trained : Grid
+        Grid of the training cases.
+    any_grid : bool
+        Whether the model predicts on other grids.
+
+    Raises
+    ------
+    InputError
+        If a shape, a value or the grid is not usable.
+    """
+    if area_undeformed is None:
+        raise InputError("predict needs area_undeformed beside the inflow.")
+    grid = _grid(inflow, z, period, trained, any_grid)
+    q = _rows("inflow", inflow, grid.time.size, "time points")
+    s_u = _rows("area_undeformed", area_undeformed, grid.z.size, "points")
+    check_values("area_undeformed", s_u, s_u <= 0, "areas must be positive (cm²)")
+    count = max(len(q), len(s_u))
+    if not {len(q), len(s_u)} <= {1, count}:
+        raise InputError(
+            f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give as many of one as of "
+            "the other, or a single one."
+        )
+    q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
+    return Inputs(q, s_u, grid, _numbered(0, count))
+
+
+def _grid(
+    inflow: npt.ArrayLike,
+    z: npt.ArrayLike | None,
+    period: float | None,
+    trained: Grid,
+    any_grid: bool,
+) -> Grid:
+    if not any_grid:
+        if z is not None or period is not None:
+            raise InputError(
+                "This model predicts only at the points and the period of its training: leave out "
+                "z and period. A model of the preset physics accepts others."
+            )
+        return trained
+    shape = np.shape(inflow)
+    n_times = shape[-1] if shape else 0
+    points: Array = trained.z
+    if z is not None:
+        points = _rows("z", z, np.size(z), "points")[0]
+        check_increasing("z", points, "cm")
+    check_resolution(n_times, points.size)
+    cycle = trained.period if period is None else positive("period", period, "s")
+    time = trained.time[0] + np.arange(float(n_times)) * (cycle / n_times)
+    return Grid(time, points, cycle)
+
+
+def _rows(name: str, values: npt.ArrayLike, length: int, noun: str) -> Array:
+    """Return a copy of (case, length) or (length,) values in the shape (case, length)."""
+    array = np.atleast_2d(real_array(name, values))
+    if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
+        hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
+        raise InputError(
+            f"{name} must have the shape (case, {length}), {length} {noun} as in the training "
+            f"data, got {np.shape(values)}.{hint}"
+        )
+    check_finite(name, array)
+    return array
+
+
+def _numbered(start: int, stop: int) -> pd.DataFrame:
+    return pd.DataFrame(np.arange(start, stop)[:, None], columns=_CASE, copy=False)

@@ -1,0 +1,232 @@
+"""The two kinds of model: ``staged`` (the paper's networks) and ``closures`` (preset ``physics``).
+
+:class:`~pcnde_bridge.PCNDE` is one class for both; all that differs between them is here.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import (
+    check_finite,
+    check_increasing,
+    check_shape,
+    positive,
+)
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid, check_grid, check_resolution
+from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters
+from pcnde_bridge.engines.parameters import STAGES, Parameters
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.model.inputs import Inputs
+from pcnde_bridge.training import recipes
+from pcnde_bridge.training.closure_trainer import ClosureState, ClosureTrainer
+from pcnde_bridge.training.history import Iteration, OnRecord
+from pcnde_bridge.training.trainer import Trainer, TrainingState
+from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
+
+Config = PCNDEConfig | ClosureConfig
+AnyParameters = Parameters | ClosureParameters
+
+
+class Trained(NamedTuple):
+    """Result of a training run; ``facts`` belong to the model's provenance."""
+
+    config: Config
+    parameters: AnyParameters
+    uncertainty: Uncertainty | None
+    history: tuple[Iteration, ...]
+    facts: dict[str, Any]
+
+
+class Kind(ABC):
+    """Interface of a kind of model; its methods expect configuration and parameters of the kind.
+
+    Attributes
+    ----------
+    any_grid : bool
+        Whether predictions may be on another grid than that of the training cases.
+    """
+
+    any_grid: ClassVar[bool]
+    _parameters: ClassVar[type[AnyParameters]]
+    _names: ClassVar[tuple[str, ...]]
+    _trainer: ClassVar[Callable[..., Any]]
+
+    def train(
+        self,
+        cases: Cases,
+        config: Any,
+        engine: Engine,
+        seed: int,
+        checkpoint: str | os.PathLike[str] | None,
+        progress: bool | OnRecord,
+    ) -> Trained:
+        """Train from the start or from the checkpoint; see :meth:`pcnde_bridge.PCNDE.fit`."""
+        trainer = self._trainer(cases, config, engine, checkpoint)
+        return self._result(trainer, recipes.run(trainer, seed, progress))
+
+    @abstractmethod
+    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
+        """Predict flow, area and pressure, each of shape (case, time, z)."""
+
+    def sample(
+        self,
+        engine: Engine,
+        config: Any,
+        parameters: Any,
+        inputs: Inputs,
+        uncertainty: Uncertainty,
+        mean: Solution,
+    ) -> dict[str, Array]:
+        """Return samples of the variables, each of shape (sample, case, time, z)."""
+        raise InputError("A model of the paper's networks has no uncertainty.")
+
+    @abstractmethod
+    def has_pressure(self, parameters: Any) -> bool:
+        """Return whether these parameters predict the pressure."""
+
+    @abstractmethod
+    def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
+        """Raise InputError unless a model trained on one grid predicts on the other one.
+
+        ``where`` names the holder of the training grid in the message.
+        """
+
+    def read_parameters(self, arrays: Mapping[str, Array]) -> AnyParameters:
+        """Take the parameters from the arrays of a model file.
+
+        Raises
+        ------
+        KeyError
+            If a vector is missing.
+        """
+        return self._parameters(**{name: arrays[name] for name in self._names})
+
+    def check(
+        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None = None
+    ) -> None:
+        """Raise if the parts of a model do not fit together.
+
+        Raises
+        ------
+        InputError
+            If a vector or the grid is not usable; the message names it.
+        TypeError
+            If the parameters belong to the other kind of model.
+        """
+        for name, axis in (("time", grid.time), ("z", grid.z)):
+            check_shape(name, axis, (axis.size,))
+            check_finite(name, axis)
+            check_increasing(name, axis)
+        positive("period", grid.period, "s")
+        if not isinstance(parameters, self._parameters):
+            raise TypeError(f"{type(parameters).__name__} do not go with {type(config).__name__}")
+        self._check_vectors(config, parameters, grid, uncertainty)
+
+    @abstractmethod
+    def _result(self, trainer: Any, state: Any) -> Trained: ...
+
+    @abstractmethod
+    def _check_vectors(
+        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
+    ) -> None: ...
+
+
+class _Staged(Kind):
+    any_grid = False
+    _parameters, _names, _trainer = Parameters, STAGES, Trainer
+
+    def _result(self, trainer: Trainer, state: TrainingState) -> Trained:
+        batches = [[int(i) for i in batch] for batch in state.batches]
+        facts = {"seconds": state.seconds, "batches": batches}
+        return Trained(trainer.config, state.parameters, None, state.history, facts)
+
+    def predict(
+        self, engine: Engine, config: PCNDEConfig, parameters: Parameters, inputs: Inputs
+    ) -> Solution:
+        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
+        return engine.predict(parameters, *arrays, config)
+
+    def has_pressure(self, parameters: Parameters) -> bool:
+        return parameters.has_pressure
+
+    def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
+        check_grid(trained, other, where)
+
+    def _check_vectors(
+        self,
+        config: PCNDEConfig,
+        parameters: Parameters,
+        grid: Grid,
+        uncertainty: Uncertainty | None,
+    ) -> None:
+        parameters.check(config, grid.time.size, grid.z.size)
+
+
+class _Closures(Kind):
+    any_grid = True
+    _parameters, _names, _trainer = ClosureParameters, CLOSURES, ClosureTrainer
+
+    def _result(self, trainer: ClosureTrainer, state: ClosureState) -> Trained:
+        facts = {"seconds": state.seconds}
+        return Trained(trainer.config, state.parameters, state.uncertainty, state.history, facts)
+
+    def predict(
+        self, engine: Engine, config: ClosureConfig, parameters: ClosureParameters, inputs: Inputs
+    ) -> Solution:
+        arrays = np.zeros(len(inputs)), inputs.inflow, inputs.area_undeformed, inputs.grid
+        return engine.closures.predict(parameters, *arrays, config)
+
+    def sample(
+        self,
+        engine: Engine,
+        config: ClosureConfig,
+        parameters: ClosureParameters,
+        inputs: Inputs,
+        uncertainty: Uncertainty,
+        mean: Solution,
+    ) -> dict[str, Array]:
+        assert inputs.random is not None
+        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
+        model = engine.closures, parameters, uncertainty
+        return sample(*model, mean, *arrays, config, inputs.random)
+
+    def has_pressure(self, parameters: ClosureParameters) -> bool:
+        return True
+
+    def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
+        check_resolution(other.time.size, other.z.size)
+
+    def _check_vectors(
+        self,
+        config: ClosureConfig,
+        parameters: ClosureParameters,
+        grid: Grid,
+        uncertainty: Uncertainty | None,
+    ) -> None:
+        parameters.check(config)
+        if uncertainty is not None:
+            uncertainty.check(parameters.correction.size)
+
+
+_STAGED, _CLOSURES = _Staged(), _Closures()
+
+
+def kind_of(config: Config) -> Kind:
+    """Return the kind of model that a configuration describes."""
+    return _CLOSURES if isinstance(config, ClosureConfig) else _STAGED
+
+
+def solve(engine: Engine, config: Config, parameters: AnyParameters, inputs: Inputs) -> Solution:
+    """Predict flow, area and pressure with a model of either kind."""
+    return kind_of(config).predict(engine, config, parameters, inputs)
