@@ -12,6 +12,7 @@ import pytest
 from pcnde_bridge.config import PHYSICS, Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
@@ -186,3 +187,8 @@ class ToyEngine:
 
     def __reduce__(self):  # so that it travels to worker processes
         return ToyEngine, ()
+
+
+def same_bits(a, b):
+    """Return whether two data sets or predictions have the same values, bit for bit."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in VARIABLES)

@@ -416,7 +416,7 @@ def test_samples_of_batches_are_those_of_the_whole(model):
 
 def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
     for arguments, options, message in (
-        ((INFLOW, -AREA), {}, "areas are positive"),
+        ((INFLOW, -AREA), {}, "areas must be positive"),
         ((INFLOW, AREA[:3]), {}, "give as many"),
         ((INFLOW, AREA), {"batch": 0}, "batch must be a whole number ≥ 1"),
         ((INFLOW, AREA), {"batch": 2.5}, "batch must be a whole number ≥ 1"),
@@ -477,7 +477,7 @@ def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, predict
     for samples in (-1, 2.0, True, "8"):
         with pytest.raises(InputError, match="samples must be a whole number"):
             model.predict(cases, samples=samples)
-    with pytest.raises(InputError, match="one draw has no deviation"):
+    with pytest.raises(InputError, match="needs at least two samples"):
         model.predict(cases, samples=1)
     for level in (0.0, 1.0, -0.5, 90, np.nan, "0.9"):
         with pytest.raises(InputError, match="level must lie between 0 and 1"):
@@ -535,13 +535,13 @@ def test_grids_that_cannot_be_used_are_refused(model, cases):
         ((INFLOW[:, :15], AREA), {}, "15 time points per cycle; at least 16"),
         ((1.0, AREA), {}, "0 time points per cycle"),
         ((INFLOW, AREA[:, :4]), {"z": Z[:4]}, "at least 5 are needed"),
-        ((INFLOW, AREA), {"z": Z[::-1]}, "z must increase"),
+        ((INFLOW, AREA), {"z": Z[::-1]}, "z must be strictly increasing"),
         ((INFLOW, AREA), {"z": np.full(41, np.nan)}, r"z\[0, 0\] is nan"),
         ((INFLOW, AREA[:, 1:]), {}, r"area_undeformed must have the shape \(case, 41\)"),
         ((INFLOW, AREA), {"period": 0.0}, "period must be positive and finite"),
         ((INFLOW, AREA), {"period": np.inf}, "period must be positive and finite"),
         ((INFLOW, AREA), {"period": "1"}, "period must be a number"),
-        ((INFLOW, -AREA), {}, "areas are positive"),
+        ((INFLOW, -AREA), {}, "areas must be positive"),
         ((cases,), {"period": 1.0}, "not both"),
         ((cases,), {"z": Z}, "not both"),
     ):

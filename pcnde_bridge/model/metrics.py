@@ -75,6 +75,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
         Index ``geometry`` and ``waveform``, a column for each variable; the last row,
         labeled ``("pooled", "pooled")``, is over all cases.
     """
+    over_all = pooled_errors(predicted, cases)
     rows = [
         {
             variable: relative_error(
@@ -86,7 +87,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame([*rows, pooled_errors(predicted, cases)], index=index)
+    return pd.DataFrame([*rows, over_all], index=index)
 
 
 def pooled(table: pd.DataFrame) -> dict[str, float]:

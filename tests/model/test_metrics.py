@@ -98,7 +98,7 @@ def test_pooled_errors_of_a_table(small_cases, predicted):
 def test_errors(small_cases, predicted):
     with pytest.raises(InputError, match=r"shape \(2,\) with shape \(3,\)"):
         relative_error(np.ones(2), np.ones(3))
-    with pytest.raises(InputError, match="truth is zero"):
+    with pytest.raises(InputError, match="reference is zero"):
         relative_error(np.ones(2), np.zeros(2))
     for part in (small_cases.select([0, 1]), small_cases):
         wrong = {"flow": predicted["flow"][:5]}
