@@ -1,18 +1,18 @@
-"""The package's exceptions and warnings: one family each, so that one clause catches all.
+"""Exceptions and warnings of the package, one family each, so that one clause catches all.
 
-Each message says what was wrong, where, and what to do about it.  Bad input is
-also a :class:`ValueError`, as scikit-learn and numpy users expect.
+Each message says what is wrong, where, and what to do.  Errors about input are also a
+:class:`ValueError`, as users of scikit-learn and numpy expect.
 """
 
 from __future__ import annotations
 
 
 class PCNDEError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of all errors that this package raises intentionally."""
 
 
 class PCNDEWarning(UserWarning):
-    """Base class of the package's warnings: a result is there, but less sure than it looks."""
+    """Base class of the package's warnings: a result was produced but may be unreliable."""
 
 
 class InputError(PCNDEError, ValueError):
@@ -20,15 +20,15 @@ class InputError(PCNDEError, ValueError):
 
 
 class FileError(PCNDEError, ValueError):
-    """A file is missing, truncated, foreign, or of a newer format."""
+    """A file is missing, damaged, of another kind, or of a newer format."""
 
 
 class DataNotFoundError(FileError, FileNotFoundError):
-    """A data set was not found on this machine, or could not be downloaded."""
+    """A file or data set was not found on this machine, or could not be downloaded."""
 
 
 class EngineError(PCNDEError, RuntimeError):
-    """A computing engine failed; the message holds the engine's own words."""
+    """An engine failed; the message contains the engine's own message."""
 
 
 class EngineUnavailableError(EngineError):
@@ -40,8 +40,8 @@ class SolveError(EngineError):
 
 
 class MissingExtraError(PCNDEError, ImportError):
-    """An optional package is not installed; the message names the extra that brings it."""
+    """An optional package is not installed; the message names the extra that installs it."""
 
 
 class TaskError(PCNDEError, RuntimeError):
-    """Some of many tasks failed, so that nothing can be made of the rest."""
+    """Some of many tasks failed, so that their results cannot be combined."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from itertools import pairwise
 
@@ -102,21 +101,6 @@ def test_settings_written_before_it_existed_are_read():
     del old["full_batch"]["amplitude_exponent"]
     assert config_from(old) == FAST.replace(full_batch={"amplitude_exponent": 0.0})
     assert config_from(FAST.to_dict()) == FAST
-
-
-def test_settings_are_read_by_their_older_names():
-    old = json.loads(
-        FAST.to_json()
-        .replace("full_batch", "all_at_once")
-        .replace("minibatch", "batches")
-        .replace("optimizer", "optimiser")
-        .replace("last_time_point", "last_instant")
-        .replace("normalized", "normalised")
-        .replace("amplitude_exponent", "wave_weight")
-        .replace("collocation_iterations", "known_flow_iterations")
-    )
-    assert "full_batch" not in old
-    assert config_from(old) == PCNDEConfig.from_dict(old) == FAST
 
 
 @pytest.mark.parametrize(

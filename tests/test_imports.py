@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import pcnde_bridge
 
+ROOT = Path(pcnde_bridge.__file__).parent
 HEAVY = (
     *("jax", "jaxlib", "diffrax", "juliacall", "juliapkg"),
     *("matplotlib", "scipy.optimize", "h5py"),
@@ -36,6 +38,16 @@ def test_no_engine_and_no_plotting_is_imported(code):
 def test_public_names_exist_and_are_listed():
     assert all(hasattr(pcnde_bridge, name) for name in pcnde_bridge.__all__)
     assert len(set(pcnde_bridge.__all__)) == len(pcnde_bridge.__all__)
+
+
+def test_rooms_are_attributes_and_nothing_else_is_listed():
+    rooms = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"_utils"} | {"errors"}
+    listed = {*pcnde_bridge.__all__, *rooms}
+    assert set(dir(pcnde_bridge)) == listed
+    code = "import pcnde_bridge as p\n" + "\n".join(f"p.{room}" for room in sorted(rooms))
+    subprocess.run([sys.executable, "-c", code], check=True)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = pcnde_bridge.nothing
 
 
 def test_errors_are_one_family():

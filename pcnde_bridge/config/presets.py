@@ -26,7 +26,7 @@ FAST = PAPER.replace(training="full_batch", flow={"steps": 12})
 Twelve equal steps solve the momentum equation as accurately as the adaptive steps do."""
 
 PHYSICS = ClosureConfig()
-"""Physics-based closures; see :mod:`pcnde_bridge.engines.jax.closures`."""
+"""Physics-based closures, see :mod:`pcnde_bridge.engines.jax.closures`."""
 
 PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
     {"paper": PAPER, "published-code": PUBLISHED_CODE, "fast": FAST, "physics": PHYSICS}

@@ -1,7 +1,7 @@
 """Settings of the method, one immutable dataclass per group, in CGS units.
 
-Defaults follow the text of Csala, Mohan, Livescu and Arzani (2024).  Where the
-published code differs, the difference is a named option of its stage.
+Defaults follow the text of Csala, Mohan, Livescu and Arzani (2024).  Where the published
+code differs, the difference is a named option of its stage.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ class Physics(Section):
     Attributes
     ----------
     density, viscosity : float
-        Of blood, g/cm³ and poise.
+        Density and dynamic viscosity of blood, g/cm³ and poise.
     young_modulus, wall_thickness : float
-        Of the wall, dyn/cm² and cm; with the radius of the healthy inlet they
-        give the stiffness E·h/r₀ of the temporal pressure stage.
+        Young's modulus and thickness of the wall, dyn/cm² and cm; with the radius of the
+        healthy inlet they give the stiffness E·h/r₀ of the temporal pressure stage.
     reference_pressure : float
-        p_ref, dyn/cm² (100 mmHg).  Only a scale: p* = p / p_ref.
+        Reference pressure p_ref, dyn/cm² (100 mmHg); only a scale: p* = p / p_ref.
     stenosis_length, stenosis_position : float
-        cm.  The paper prints no length; 0.5 cm was measured on its data.
+        Length and center of the stenosis, cm.  The paper does not state the length; 0.5 cm
+        was measured on its data.
     turbulent_coefficient : float
         K_t of Seeley and Young (1976).
     """
@@ -48,7 +49,7 @@ class Physics(Section):
 
 @dataclass(frozen=True)
 class BFGS(Section):
-    """The optimizer of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
+    """Optimizer of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
 
     The paper names BFGS; these settings are those of the published code.
 
@@ -59,7 +60,7 @@ class BFGS(Section):
     sufficient_decrease, shrink_most, shrink_least : float
         c₁, ρ_lo and ρ_hi of the cubic backtracking line search.
     max_backtracks : int
-        Trial steps before a line search is given up.
+        Largest number of trial steps of a line search.
     gradient_tolerance : float
         A fit stops early when max|g| is not larger than this.
     """
@@ -79,29 +80,29 @@ class FlowStage(Section):
     Attributes
     ----------
     terms : tuple of {'friction', 'convection', 'inertia'}
-        What section 3.6 adds to the network, of the 1D momentum equation solved for
-        ∂Q/∂z: N/(2(1+δ)), ½ (Q/S) ∂S/∂z and −(S/Q) ∂Q/∂t/(2(1+δ)).  None in the paper's
-        model: they make training harder (:mod:`pcnde_bridge.studies.landscapes`).
+        Terms of the 1D momentum equation, solved for ∂Q/∂z, that are added to the network
+        (section 3.6): N/(2(1+δ)), ½ (Q/S) ∂S/∂z and −(S/Q) ∂Q/∂t/(2(1+δ)).  The paper's
+        model has none: they make training harder (:mod:`pcnde_bridge.studies.landscapes`).
     hidden : tuple of int
         Widths of the hidden layers; input 2·n_t and output n_t follow the data.
     activation : str
-        Between layers; the last layer is linear.
+        Activation of the hidden layers; the last layer is linear.
     epochs, iterations : int
         Passes through the batches, and BFGS iterations in each batch.
     couple_every : int
-        Epochs between two couplings of the area back into the network's input.
+        Epochs between two couplings of the area into the input of the network.
     rtol, atol : float
-        Of Tsit5's adaptive steps (defaults of DifferentialEquations.jl).
+        Tolerances of Tsit5's adaptive steps (defaults of DifferentialEquations.jl).
     first_step : float or None
-        cm; None takes the grid's first spacing, as the published code does.
+        First step, cm; None uses the first spacing of the grid, as the published code does.
     max_steps : int
-        Accepted and rejected steps after which a solve counts as diverged.
+        Accepted and rejected steps after which a solution counts as diverged.
     steps : int or None
-        Equal steps of Tsit5 in place of adaptive ones; then the four settings
-        before this one do not matter.
+        Number of equal steps of Tsit5 instead of adaptive ones, for which the previous
+        four settings have no effect.
     loss : {'mean', 'sum'}
-        Mean (paper) or sum (published code) of squared errors.  The optimizer's
-        path does not depend on the scale, but for its gradient tolerance.
+        Mean (paper) or sum (published code) of squared errors.  Except for the gradient
+        tolerance, the optimizer does not depend on this scale.
     """
 
     terms: tuple[Term, ...] = ()
@@ -122,7 +123,7 @@ class FlowStage(Section):
 class TemporalFlowStage(Section):
     """Momentum equation ∂Q/∂t = f_θ(Q) or f_θ(Q, t), a neural ODE in time (section 2.3).
 
-    The formulation that the paper compares its own with; no model is made of it
+    The paper compares its formulation with this one, which is used only in a study
     (:mod:`pcnde_bridge.studies.formulations`).
 
     Attributes
@@ -130,11 +131,11 @@ class TemporalFlowStage(Section):
     hidden : tuple of int
         Widths of the hidden layers; input n_z, with time n_z + 1, and output n_z.
     activation : str
-        Between layers; the last layer is linear.
+        Activation of the hidden layers; the last layer is linear.
     time_input : bool
-        Whether t/T is the network's last input.
+        Whether t/T is the last input of the network.
     steps : int
-        Runge–Kutta steps from instant to instant.
+        Runge–Kutta steps between two time points.
     epochs, iterations : int
         Passes through the batches, and BFGS iterations in each batch.
     """
@@ -149,12 +150,12 @@ class TemporalFlowStage(Section):
 
 @dataclass(frozen=True)
 class IntermediateAreaStage(Section):
-    """Continuity ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
+    """Continuity equation ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
 
     Attributes
     ----------
     cycles : int
-        Cycles integrated; the loss is taken on the last one.
+        Number of integrated cycles; the loss is computed on the last one.
     iterations : int
         BFGS iterations in each batch, each time the area is coupled.
     """
@@ -165,31 +166,29 @@ class IntermediateAreaStage(Section):
 
 @dataclass(frozen=True)
 class FourierAreaStage(Section):
-    """Periodic area by Fourier series, S_n = −a(z)/(iω_n) ∂Q_n/∂z.
+    """Periodic area as a Fourier series, S_n = −a(z)/(iω_n) ∂Q_n/∂z.
 
     Attributes
     ----------
     terms : int
-        Number of terms with the mean, so harmonics 1 … terms − 1.
+        Number of terms including the mean, so harmonics 1 … terms − 1.
     iterations : int
         BFGS iterations in each batch, each time the area is coupled.
     anchor : {'last_time_point', 'last_cycle', 'undeformed'}
-        Where S₀ takes Ŝ(z, t=0) from.  The text does not say which of the
-        integrated cycles' starts is t = 0; the default is the published code's
-        reading, the end of the integration (the start of the next cycle, where
-        the transient has died out).  'last_cycle' is the start of the cycle
-        that is fitted, 'undeformed' the start of the first, which is S_u.  Only
-        the default reaches the paper's training error (CONTRIBUTING has the
-        measurement).
+        Time point of Ŝ from which S₀ is computed.  The paper does not state which start
+        of the integrated cycles is t = 0.  'last_time_point' is the end of the integration,
+        as in the published code: the start of the next cycle, where the transient has
+        decayed.  'last_cycle' is the start of the fitted cycle, 'undeformed' the start of
+        the first one, which is S_u.  Only the default reaches the paper's training error
+        (decision 001 in the documentation).
     frequency : {'harmonic', 'next'}
-        ω_n (paper) or, with the published code, ω_{n+1} dividing harmonic n.
+        Frequency that divides harmonic n: ω_n (paper) or ω_{n+1} (published code).
     sides : {'two', 'one'}
-        The whole real series (paper), or its one-sided half (published code),
-        which halves the amplitude that a(z) = 1 means.
+        Complete real series (paper), or its one-sided half (published code), which halves
+        the amplitude for a(z) = 1.
     restart : bool
-        False (paper) continues (a, b) from batch to batch; True (published
-        code) starts each batch from a = 1, b = 0, so that only the last batch
-        counts.
+        False (paper) continues (a, b) from batch to batch; True (published code) starts
+        each batch from a = 1, b = 0, so that only the last batch matters.
     """
 
     terms: int = positive(10)
@@ -209,12 +208,13 @@ class TemporalPressureStage(Section):
     hidden : tuple of int
         Widths of the hidden layers; input 4·n_z and output n_z follow the data.
     activation : str
-        tanh in the paper's text; the published weights fit GeLU.
+        Activation of the hidden layers: tanh in the paper's text; the published weights
+        fit GeLU.
     iterations : int
-        BFGS iterations, on all training cases at once.
+        BFGS iterations, on all training cases together.
     pressure_drop_input : {'normalized', 'dyn'}
-        Δp/p_ref as in the published code, or Δp in dyn/cm².  The text leaves
-        the scale open; in dyn/cm² the input saturates every tanh.
+        Δp/p_ref, as in the published code, or Δp in dyn/cm².  The paper does not state the
+        scale; in dyn/cm² the input saturates every tanh.
     """
 
     hidden: tuple[int, ...] = layer_widths(2, 2)
@@ -230,12 +230,11 @@ class SpatialPressureStage(Section):
     Attributes
     ----------
     iterations : int
-        BFGS iterations, on all training cases at once.
+        BFGS iterations, on all training cases together.
     form : {'continuous', 'printed'}
-        The paper's equation as printed jumps by the whole pressure drop at
-        z = L/3, against its own description (constant, tanh, constant) and
-        figure.  'continuous' centres the tanh on the mean of p̂*, with half the
-        drop on either side; 'printed' is the equation to the letter.
+        'printed' is the paper's equation, which jumps by the whole pressure drop at
+        z = L/3, contrary to its description (constant, tanh, constant) and figure.
+        'continuous' centers the tanh on the mean of p̂*, with half the drop on either side.
     """
 
     iterations: int = positive(75)
@@ -244,51 +243,53 @@ class SpatialPressureStage(Section):
 
 @dataclass(frozen=True)
 class FullBatch(Section):
-    """Training on all cases at once, with least squares for all that is linear.
+    """Training on all cases together, with least squares for linear parameters.
 
     Networks are fitted by L-BFGS without restarts, in whitened weights
-    (:mod:`pcnde_bridge.training.lbfgs`); both area stages, the networks' last layers (that of the
-    flow along the data's flow), a₁, a₂ and b₁ by least squares.  The numbers were compared
-    by cross-validation inside the published training cases (CONTRIBUTING has the
-    measurement, and what a look at the test cases had to do with it).
+    (:mod:`pcnde_bridge.training.lbfgs`).  Least squares solve for both area stages, the last
+    layers of the networks (for the flow during collocation), a₁, a₂ and b₁.  The defaults
+    were compared by cross-validation inside the published training cases (decision 008 in
+    the documentation).
 
     Attributes
     ----------
     rounds : int
-        Fits of the flow, each followed by a fit of the area, which is then coupled back.
-        With a validation part, the first fits the networks to the other cases alone and
-        stops by the validation part's error; the others go on from there on all cases.
+        Number of fits of the flow, each followed by a fit of the area, which is then coupled
+        back.  With a validation set, the first round fits the networks to the other cases
+        and stops by the validation error; later rounds continue on all cases.
     starts : int
-        Fits of the flow in the first round, each from other random weights: the one of
-        the least loss (or validation error, if there is a validation part) goes on.
+        Fits of the flow in the first round, each from other random weights; the one with
+        the lowest loss (or validation error, if there is a validation set) continues.
     mean_flow : {'area', 'data'}
-        Whose mean over the cycle the flow is fitted to: that which the data's area asks
-        for (:func:`pcnde_bridge.training.full_batch.balanced_flow`), or the data's flow's.
+        Source of the mean over the cycle of the flow's target: consistent with the
+        reference area (:func:`pcnde_bridge.training.full_batch.balanced_flow`), or the mean
+        of the reference flow.
     amplitude_exponent : float
-        Each case's squares of the flow count by its inflow's range over time to the power
-        of minus this (:func:`pcnde_bridge.training.full_batch.wave_weight`); 0 counts all alike.
+        The squared flow errors of a case are weighted by the range of its inflow to the
+        power of minus this exponent; 0 weights all cases alike.
     collocation_iterations : int
-        L-BFGS iterations of each of these, and of the one in each later round, along the
-        data's flow (:mod:`pcnde_bridge.training.collocation`).
+        L-BFGS iterations of each of these fits by collocation on the reference flow
+        (:mod:`pcnde_bridge.training.collocation`), and of the one in each later round.
     iterations, later_iterations : int
         L-BFGS iterations of the equation itself, in the first and in each later round; with
-        physics terms the iterations before are added to them.
+        physics terms, the iterations of collocation are added to them.
     pressure_iterations : int
         L-BFGS iterations of each of the pressure fits.
     memory : int
-        Pairs of steps and gradient changes that L-BFGS keeps.
+        Pairs of steps and gradient changes that L-BFGS stores.
     validation : float
-        Share of the cases, about, in the validation part, which is made of whole
-        waveforms and whole geometries; with too few cases there is none.  0 fits all
-        cases from the first round for the given iterations, which did better.
+        Approximate fraction of the cases in the validation set, which consists of whole
+        waveforms and whole geometries; with too few cases there is none.  0 fits all cases
+        from the first round for the given iterations, which gave lower errors.
     patience, check_every : int
-        Iterations without a lower validation error that end a fit, and between two looks.
+        Iterations without a lower validation error after which a fit ends, and iterations
+        between two evaluations of it.
     whitening : float
-        Variance, in units of the largest, below which a component of a network's
-        inputs is not amplified to the size of the others.
+        Variance, relative to the largest, below which a component of a network's inputs is
+        not amplified to the size of the others.
     weight_decay, pressure_weight_decay : float
-        Of the flow's and the pressure's network: multiply the whitened weights' squares,
-        beside the loss over the target's mean square.
+        Factors, for the networks of flow and pressure, of the squared whitened weights in
+        the objective, in which the loss is divided by the mean square of the target.
     """
 
     rounds: int = positive(2)
@@ -319,18 +320,18 @@ class PCNDEConfig(Settings):
     optimizer : BFGS
         Settings of the optimizer that all stages share.
     flow, intermediate_area, fourier_area : stage settings
-        Trained in turns, coupled.
+        Stages that are trained alternately and coupled.
     temporal_pressure, spatial_pressure : stage settings
-        Trained after them.
+        Stages that are trained after them.
     temporal_flow : TemporalFlowStage
-        The formulation in time, which only a study uses.
+        Formulation in time, which only a study uses.
     training : {'minibatch', 'full_batch'}
-        BFGS restarted in every batch (paper), or what ``full_batch`` says; then the
-        optimizer, the stages' epochs and iterations and the batch size do not matter.
+        BFGS restarted in every batch (paper), or the procedure of ``full_batch``, for which
+        the optimizer, the stages' epochs and iterations and the batch size have no effect.
     full_batch : FullBatch
-        Settings of that.
+        Settings of training on all cases together.
     batch_size : int
-        Cases in a batch of the flow and area stages.
+        Cases per batch of the flow and area stages.
     coupling_passes : int
         Passes through flow and area at inference.
 
@@ -357,18 +358,18 @@ class PCNDEConfig(Settings):
 
 @dataclass(frozen=True)
 class OutletClosure(Section):
-    """Outlet condition p(L) = p_d + 𝒵 Q(L); what is None is learned.
+    """Outlet condition p(L) = p_d + 𝒵 Q(L); values of None are trained.
 
     Attributes
     ----------
     resistance : float or None
-        R₁ + R₂, dyn·s/cm⁵.
+        Total resistance R₁ + R₂, dyn·s/cm⁵.
     distal_pressure : float or None
-        p_d, dyn/cm².
+        Distal pressure p_d, dyn/cm².
     kind : {'auto', 'resistance', 'windkessel'}
-        A resistance, or a three-element Windkessel 𝒵 = R₁ + R₂/(1 + iωR₂C).
-        'auto' takes the resistance unless it misses the training cases' outlet
-        pressure by more than 1 % of its variation.
+        A resistance, or a three-element Windkessel 𝒵 = R₁ + R₂/(1 + iωR₂C).  'auto' is a
+        resistance unless its error in the outlet pressure of the training cases exceeds
+        1 % of the pressure's variation.
     """
 
     resistance: float | None = positive(None)
@@ -378,15 +379,15 @@ class OutletClosure(Section):
 
 @dataclass(frozen=True)
 class LossClosure(Section):
-    """Pressure losses along the vessel; what is None is learned.
+    """Pressure losses along the vessel; values of None are trained.
 
     Attributes
     ----------
     friction, inertia, convection : float or None
-        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`; 1 is
-        Poiseuille's friction and a flat profile's momentum.
+        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`; 1 means
+        Poiseuille's friction and the momentum of a flat profile.
     jet_spread : float or None
-        Growth of a free jet's radius per length of the way.
+        Growth of the radius of a free jet per length.
     """
 
     friction: float | None = positive(None)
@@ -397,23 +398,23 @@ class LossClosure(Section):
 
 @dataclass(frozen=True)
 class WallClosure(Section):
-    """Wall; what is None is learned.
+    """Wall parameters; values of None are trained.
 
     Attributes
     ----------
     law : {'auto', 'membrane', 'local'}
-        An elastic membrane clamped at both ends, as in 3D fluid–structure
-        simulations, or a tube law, as in 1D solvers.  'auto' takes the membrane
-        if the ends of the training cases do not move.
+        An elastic membrane clamped at both ends, as in 3D fluid–structure simulations, or
+        a tube law, as in 1D solvers.  'auto' is the membrane if the ends of the training
+        cases do not move.
     stiffness : float or None
-        K = E·h/(1 − ν²), dyn/cm, of the membrane; K in p = K·(√(S/S_u) − 1) at
-        the inlet, dyn/cm², of the tube law.
+        K = E·h/(1 − ν²), dyn/cm, of the membrane; K in p = K·(√(S/S_u) − 1) at the inlet,
+        dyn/cm², of the tube law.
     poisson, shear, support : float or None
-        ν, the shear ratio and the axial support (1/cm²) of the membrane.
+        Poisson's ratio ν, shear ratio and axial support (1/cm²) of the membrane.
     exponent : float or None
         m of the tube law's K·(r_0/r_u)^m.
     zero_pressure : float or None
-        p₀, at which the wall is undeformed, dyn/cm².
+        Pressure p₀ of the undeformed wall, dyn/cm².
     """
 
     law: Literal["auto", "membrane", "local"] = "auto"
@@ -427,25 +428,25 @@ class WallClosure(Section):
 
 @dataclass(frozen=True)
 class CorrectionClosure(Section):
-    """Continuity's factor and the learned correction.
+    """Factor of the continuity equation and the trained correction.
 
     Attributes
     ----------
     storage : float or None
-        κ in ∂Q/∂z = −κ(1 − g)·∂S/∂t; 1 conserves volume.  None learns it: averaged
-        3D simulations need not conserve it.
+        κ in ∂Q/∂z = −κ(1 − g)·∂S/∂t; 1 conserves volume.  None trains it: averaged 3D
+        simulations need not conserve volume.
     hidden : tuple of int
-        Widths of the correction's hidden layers; none makes it logistic.
+        Widths of the hidden layers of the correction; without any it is logistic.
     weight_decay : float
-        Of the network's weights.
+        Weight decay of the network.
     evaluations : int
         Largest number of evaluations of a fit.
     passes : int
         Coupling passes of flow, area and pressure.
     folds : int
-        Parts into which the training cases' geometries, and once more their
-        waveforms, are divided to hold them out in turns; the fits without a part
-        are the ensemble that gives the uncertainty.  At least 2; 0 leaves it out.
+        Number of folds into which the geometries of the training cases, and separately their
+        waveforms, are divided.  The fits that leave out one fold each are the ensemble for
+        the uncertainty.  At least 2; 0 omits the uncertainty.
     """
 
     storage: float | None = positive(None)
@@ -459,20 +460,20 @@ class CorrectionClosure(Section):
         super().__post_init__()
         if self.folds == 1:
             raise InputError(
-                "CorrectionClosure.folds must be 0 or at least 2: one part is all of the cases."
+                "CorrectionClosure.folds must be 0 or at least 2: a single fold has all cases."
             )
 
 
 @dataclass(frozen=True)
 class ClosureConfig(Settings):
-    """All settings of the ``physics`` preset; see :mod:`pcnde_bridge.closures`.
+    """All settings of the ``physics`` preset; see :mod:`pcnde_bridge.engines.jax.closures`.
 
     Attributes
     ----------
     physics : Physics
-        Density and viscosity of blood are used.
+        Constants, of which density and viscosity of blood are used.
     outlet, losses, wall, correction : closure settings
-        Fitted in this order.
+        Closures, fitted in this order.
     """
 
     physics: Physics = Physics()

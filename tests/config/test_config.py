@@ -21,6 +21,7 @@ from pcnde_bridge import (
 from pcnde_bridge.config import (
     FAST,
     PHYSICS,
+    config_from,
     resolve_config,
     resolve_pcnde_config,
 )
@@ -330,3 +331,18 @@ def test_a_single_fold_would_leave_all_cases_out():
     with pytest.raises(InputError, match="folds must be 0 or at least 2"):
         PHYSICS.replace(correction={"folds": 1})
     assert PHYSICS.replace(correction={"folds": 0}).correction.folds == 0
+
+
+def test_settings_are_read_by_their_older_names():
+    old = json.loads(
+        FAST.to_json()
+        .replace("full_batch", "all_at_once")
+        .replace("minibatch", "batches")
+        .replace("optimizer", "optimiser")
+        .replace("last_time_point", "last_instant")
+        .replace("normalized", "normalised")
+        .replace("amplitude_exponent", "wave_weight")
+        .replace("collocation_iterations", "known_flow_iterations")
+    )
+    assert "full_batch" not in old
+    assert config_from(old) == PCNDEConfig.from_dict(old) == FAST
