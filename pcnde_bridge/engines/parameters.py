@@ -32,12 +32,7 @@ from pcnde_bridge.errors import InputError
 PRESSURE_STAGES = ("temporal_pressure", "spatial_pressure")
 """Names of the stages that are trained after flow and area."""
 
-STAGES = (
-    "flow",
-    "intermediate_area",
-    "fourier_area",
-    *PRESSURE_STAGES,
-)
+STAGES = ("flow", "intermediate_area", "fourier_area", *PRESSURE_STAGES)
 """Names of the five stages, in the order in which they are trained."""
 
 

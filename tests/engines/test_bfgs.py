@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcnde_bridge.config import BFGS
-from pcnde_bridge.engines.jax.bfgs import minimise
+from pcnde_bridge.engines.jax.bfgs import minimize
 from pcnde_bridge.errors import SolveError
 
 
@@ -58,13 +58,13 @@ def dense_bfgs(function, x, settings, iterations):
 def test_same_iterates_as_a_dense_inverse_hessian(n):
     start = np.linspace(-1.2, 1.1, n)
     expected, losses = dense_bfgs(rosenbrock, start, BFGS(), 25)
-    fit = minimise(lambda x: rosenbrock(x)[0], rosenbrock, start, BFGS(), 25)
+    fit = minimize(lambda x: rosenbrock(x)[0], rosenbrock, start, BFGS(), 25)
     np.testing.assert_allclose(fit.losses, losses, rtol=1e-7)
     np.testing.assert_allclose(fit.parameters, expected, rtol=1e-6)
 
 
 def test_finds_the_minimum_and_says_so():
-    fit = minimise(lambda x: rosenbrock(x)[0], rosenbrock, np.array([-1.2, 1.0]), BFGS(), 500)
+    fit = minimize(lambda x: rosenbrock(x)[0], rosenbrock, np.array([-1.2, 1.0]), BFGS(), 500)
     assert fit.converged
     assert fit.message == "gradient tolerance"
     np.testing.assert_allclose(fit.parameters, 1, atol=1e-7)
@@ -73,7 +73,7 @@ def test_finds_the_minimum_and_says_so():
 
 def test_first_step_is_initial_step_norm_long():
     settings = BFGS(initial_step_norm=0.01)
-    fit = minimise(lambda x: float(x @ x), lambda x: (float(x @ x), 2 * x), np.ones(3), settings, 1)
+    fit = minimize(lambda x: float(x @ x), lambda x: (float(x @ x), 2 * x), np.ones(3), settings, 1)
     np.testing.assert_allclose(fit.parameters, 0.99)
 
 
@@ -84,7 +84,7 @@ def test_a_diverging_trial_step_backtracks(bad):
     def value(x):
         return float(np.sum((x - 3) ** 2)) if np.abs(x).max() < 0.005 else bad
 
-    fit = minimise(
+    fit = minimize(
         value, lambda x: (value(x), 2 * (x - 3)), np.zeros(4), BFGS(initial_step_norm=1.0), 3
     )
     assert np.isfinite(fit.losses).all()
@@ -95,7 +95,7 @@ def test_loss_that_is_never_finite_again_ends_the_fit_with_the_start():
     def value(x):
         return 1.0 if not x.any() else math.nan
 
-    fit = minimise(value, lambda x: (value(x), np.ones(2)), np.zeros(2), BFGS(), 5)
+    fit = minimize(value, lambda x: (value(x), np.ones(2)), np.zeros(2), BFGS(), 5)
     assert fit.message == "line search found no lower loss"
     assert not fit.parameters.any()
     assert fit.losses.tolist() == [1.0]
@@ -103,7 +103,7 @@ def test_loss_that_is_never_finite_again_ends_the_fit_with_the_start():
 
 def test_no_finite_loss_at_the_start_is_an_error():
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        minimise(lambda x: math.inf, lambda x: (math.inf, np.ones(2)), np.zeros(2), BFGS(), 5)
+        minimize(lambda x: math.inf, lambda x: (math.inf, np.ones(2)), np.zeros(2), BFGS(), 5)
 
 
 def test_iterations_are_reported_and_may_be_interrupted():
@@ -115,12 +115,12 @@ def test_iterations_are_reported_and_may_be_interrupted():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        minimise(lambda x: rosenbrock(x)[0], rosenbrock, np.zeros(5), BFGS(), 10, stop_at_three)
+        minimize(lambda x: rosenbrock(x)[0], rosenbrock, np.zeros(5), BFGS(), 10, stop_at_three)
     assert [number for number, _ in seen] == [1, 2, 3]
     assert seen[0][1] > seen[2][1]
 
 
 def test_start_at_the_minimum_does_nothing():
-    fit = minimise(lambda x: rosenbrock(x)[0], rosenbrock, np.ones(4), BFGS(), 10)
+    fit = minimize(lambda x: rosenbrock(x)[0], rosenbrock, np.ones(4), BFGS(), 10)
     assert fit.converged
     assert len(fit.losses) == 1

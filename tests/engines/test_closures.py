@@ -34,7 +34,7 @@ from helpers import (
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines import select_engine
+from pcnde_bridge.engines import equations, select_engine
 from pcnde_bridge.engines.closure_parameters import sizes
 from pcnde_bridge.engines.jax.closures import (
     correction,
@@ -124,7 +124,7 @@ def test_membrane_of_a_straight_vessel_equals_its_exact_solution(support, poisso
 
 
 def test_membrane_makes_its_energy_stationary():
-    """The docstring's energy, written down and minimised with dense matrices."""
+    """The docstring's energy, written down and minimized with dense matrices."""
     stiffness, nu, k, f, _ = MEMBRANE
     radius, load = np.sqrt(vessel(1.7) / np.pi), loads()[2]
 
@@ -146,11 +146,11 @@ def test_membrane_makes_its_energy_stationary():
             total += ((0.5 * stiffness * stored - work) * r * ds / 2).sum()
         return total
 
-    def minimise():
+    def minimize():
         zero = jnp.zeros(78)
         return -jnp.linalg.solve(jax.hessian(energy)(zero), jax.grad(energy)(zero))
 
-    expected = in_double(minimise)().reshape(39, 2)[:, 1]
+    expected = in_double(minimize)().reshape(39, 2)[:, 1]
     moved = displacement(MEMBRANE, loads(), vessel(1.7), Z)[2, 1:-1]
     assert np.allclose(moved, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
@@ -280,7 +280,8 @@ def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
     @in_double
     def product(numbers, q, d, share, s_u, z):
         def with_rates(x):
-            return x, losses.rate(x, 1.0), losses.rate(losses.rate(x, 1.0), 1.0)
+            first = equations.rate(x, 1.0, jnp)
+            return x, first, equations.rate(first, 1.0, jnp)
 
         c = losses.coefficients(numbers, s_u, z, BLOOD)
         in_time, rates = map(jnp.stack, losses.modes_in_time(with_rates(q), with_rates(d)))

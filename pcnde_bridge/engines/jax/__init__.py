@@ -1,4 +1,4 @@
-"""The embedded engine: the equations in JAX, solved with diffrax or with fixed steps.
+"""JAX engine: the equations in JAX, integrated with diffrax or with fixed steps.
 
-The class is :class:`pcnde_bridge.engines.jax.engine.JaxEngine`; importing it imports JAX.
+Importing :mod:`pcnde_bridge.engines.jax.engine` imports JAX.
 """

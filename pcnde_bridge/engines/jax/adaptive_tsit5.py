@@ -1,4 +1,4 @@
-"""A state taken along the vessel by Tsit5, as the momentum equation asks for it."""
+"""Integration along the vessel by Tsit5 of diffrax, for the momentum equation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import jax.numpy as jnp
 from pcnde_bridge.config import FlowStage
 from pcnde_bridge.engines.jax.pi_controller import PIController
 
-_CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is repeated
+_CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is recomputed
 
-Here = Callable[[jax.Array], jax.Array]
-"""Takes values at the points, (z, ...), returns them at one place, linear between."""
+Interpolate = Callable[[jax.Array], jax.Array]
+"""Interpolates values at the points, (z, ...), linearly to one position."""
 
 
-def march(
-    rate: Callable[[Here, jax.Array, jax.Array], jax.Array],
+def integrate(
+    rate: Callable[[Interpolate, jax.Array, jax.Array], jax.Array],
     scaled_error: Callable[..., jax.Array],
     start: jax.Array,
     weight: jax.Array,
@@ -31,14 +31,14 @@ def march(
     Parameters
     ----------
     rate : callable
-        ``(here, z, state)``: the state's derivative by z, (case, number).
+        ``(interpolate, z, state)``: the state's derivative with respect to z, (case, number).
     scaled_error : callable
-        ``(z0, z1, state0, state1, error)``: error of a step over what is tolerated,
+        ``(z0, z1, state0, state1, error)``: error of a step divided by the tolerance,
         (case, time).
     start : array of shape (case, number)
         State at the first point.
     weight : array of shape (case,)
-        1, or 0 for a case that only fills a batch and must not steer the steps.
+        1, or 0 for a case that pads a batch and must not influence the steps.
     z : array of shape (z,)
         Points, cm.
     stage : FlowStage
@@ -47,9 +47,9 @@ def march(
     Returns
     -------
     states : array of shape (z, case, number)
-        At the points.
+        States at the points.
     solved : array of shape (case,)
-        Whether the integration came to its end.
+        Whether the integration reached the last point.
     """
 
     def slope(position: Any, state: jax.Array, _: None) -> jax.Array:
@@ -68,7 +68,7 @@ def march(
         most = stage.max_steps
     else:
         first_step = (z[-1] - z[0]) / stage.steps
-        # One more than the steps, for round-off in their sum.
+        # One more step, for round-off in their sum.
         control, most = diffrax.ConstantStepSize(), stage.steps + 1
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(slope),

@@ -1,4 +1,4 @@
-"""Continuity equation: the intermediate area and the periodic Fourier area.
+"""Continuity equation: intermediate area and periodic Fourier area.
 
 Both are linear in their corrections: S = known + a(z)·f(t, z) + b(z)·g(t).
 """
@@ -13,12 +13,12 @@ from pcnde_bridge.config import FourierAreaStage, PCNDEConfig
 
 
 def flow_slope(flow: jax.Array, z: jax.Array) -> jax.Array:
-    """∂Q/∂z by second-order differences, central inside, one-sided at both ends.
+    """Return ∂Q/∂z by second-order differences, central inside, one-sided at both ends.
 
     Parameters
     ----------
     flow : array of shape (..., z)
-        Q, mL/s, or anything linear in it.
+        Q, mL/s, or a linear function of it.
     z : array of shape (z,)
         Points, cm; the spacing may vary.
     """
@@ -40,11 +40,11 @@ def intermediate(
     period: jax.Array,
     config: PCNDEConfig,
 ) -> jax.Array:
-    """Ŝ of ∂Ŝ/∂t = −â ∂Q/∂z + b̂ from S_u, all cycles.
+    """Integrate ∂Ŝ/∂t = −â ∂Q/∂z + b̂ from S_u over all cycles.
 
-    Q is linear in time between its instants, so a step of Tsit5 (of any
-    Runge–Kutta method of order two or more) from instant to instant, as the
-    published code takes them, is the trapezoidal rule to round-off.
+    Q is linear between its time points, so steps of Tsit5 (or of any Runge–Kutta
+    method of order two or more) between them, as in the published code, are the
+    trapezoidal rule up to round-off.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def intermediate(
     z, period
         The grid, cm and s.
     config : PCNDEConfig
-        Gives the number of cycles.
+        Settings with the number of cycles.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def intermediate(
 
 
 def last_cycle(area: jax.Array, n_times: int) -> jax.Array:
-    """Last cycle of an intermediate area, (case, time, z)."""
+    """Return the last cycle of an intermediate area, (case, time, z)."""
     return area[:, -n_times:]
 
 
@@ -90,7 +90,7 @@ def fourier(
     period: jax.Array,
     config: PCNDEConfig,
 ) -> jax.Array:
-    """Periodic S with S_n = −a/(iω_n) ∂Q_n/∂z and S₀ = Ŝ(t=0) − Σ S_n + b.
+    """Return the periodic S with S_n = −a/(iω_n) ∂Q_n/∂z and S₀ = Ŝ(t=0) − Σ S_n + b.
 
     Parameters
     ----------
@@ -114,19 +114,19 @@ def fourier(
     analysis, synthesis = fourier_integral(flow.shape[1], config.fourier_area)
     coefficients = jnp.einsum("kt,ntz->nkz", analysis, flow)
     integral = period * jnp.einsum("tk,nkz->ntz", synthesis, flow_slope(coefficients, z))
-    # S − S₀ is zero at the first instant: the anchor holds there.
+    # S − S₀ is zero at the first time point, where S is the anchor plus b.
     return initial_area[:, None] - a * (integral - integral[:, :1]) + b
 
 
 def fourier_integral(n_times: int, stage: FourierAreaStage) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices that integrate a periodic signal in time by its Fourier series.
+    """Return the matrices that integrate a periodic signal in time by its Fourier series.
 
     Returns
     -------
     analysis : array of shape (2·(terms − 1), time)
-        To the cosine and sine parts of the harmonics.
+        Maps the signal to the cosine and sine parts of its harmonics.
     synthesis : array of shape (time, 2·(terms − 1))
-        From these to the integral of the signal without its mean, over the period.
+        Maps these to the integral of the signal without its mean, divided by the period.
     """
     harmonics = np.arange(1, stage.terms)[:, None]
     angle = 2 * np.pi * harmonics * np.arange(n_times) / n_times

@@ -1,12 +1,11 @@
-"""BFGS as Optim.jl runs it, with the BackTracking line search of LineSearches.jl.
+"""BFGS as in Optim.jl, with the BackTracking line search of LineSearches.jl.
 
-The paper's fits are short: 5 to 250 iterations of up to 2724 parameters, each
-from pcnde_bridge._typing import Array
-from a scaled identity as inverse Hessian.  So the inverse Hessian is never
+The paper's fits are short: 5 to 250 iterations for up to 2724 parameters, each
+starting from a scaled identity as inverse Hessian.  The inverse Hessian is therefore not
 formed: its product with the gradient is computed from the stored pairs of steps
-and gradient changes (Nocedal and Wright 2006, algorithm 7.4, all pairs kept),
-which is the BFGS matrix's own product up to round-off, at 4·k·n operations in
-place of 4·n².
+and gradient changes (Nocedal and Wright 2006, algorithm 7.4, with all pairs),
+which equals the product with the BFGS matrix up to round-off and costs 4·k·n operations
+instead of 4·n².
 """
 
 from __future__ import annotations
@@ -18,29 +17,25 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import BFGS
-from pcnde_bridge.engines.types import Fit, OnIteration
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 
 
-class _LineSearchError(Exception):
-    """No step of the line search decreases the loss enough."""
-
-
-def minimise(
+def minimize(
     value: Callable[[Array], float],
-    value_and_gradient: Callable[[Array], tuple[float, Array]],
+    value_and_gradient: Objective,
     start: Array,
     settings: BFGS,
     iterations: int,
     on_iteration: OnIteration | None = None,
 ) -> Fit:
-    """Minimise a function of a vector.
+    """Minimize a function of a vector.
 
     Parameters
     ----------
     value : callable
-        Loss at a vector of shape (n,); used by the line search.  It may be
-        infinite or NaN, where the step is then shortened.
+        Loss at a vector of shape (n,), for the line search.  Where it is infinite or NaN,
+        the step is shortened.
     value_and_gradient : callable
         Loss and its gradient of shape (n,).
     start : array of shape (n,)
@@ -48,9 +43,9 @@ def minimise(
     settings : BFGS
         Initial step, line search and tolerance.
     iterations : int
-        At most so many.
+        Maximum number of iterations.
     on_iteration : callable, optional
-        Called with the number and loss of each iteration; may raise to stop.
+        Called with the number and loss of each iteration; it may raise to stop.
 
     Returns
     -------
@@ -64,33 +59,24 @@ def minimise(
     """
     x = np.array(start, dtype=np.float64)
     loss, gradient = value_and_gradient(x)
-    if not (math.isfinite(loss) and np.isfinite(gradient).all()):
+    if not _finite(loss, gradient):
         raise SolveError(
             f"The loss is not finite at the first parameters of the fit (loss {loss}): the "
             "equation diverges there. Check the data's units, or start from another seed."
         )
-    losses = [loss]
-    inverse_hessian = _InverseHessian(gradient, settings)
+    losses, inverse_hessian = [loss], _InverseHessian(gradient, settings)
     converged, message = _largest(gradient) <= settings.gradient_tolerance, "gradient tolerance"
-    for iteration in range(1, iterations + 1):
-        if converged:
+    while not converged:
+        if len(losses) > iterations:
+            message = "all iterations done"
             break
-        direction = -(inverse_hessian @ gradient)
-        if not gradient @ direction < 0:
-            inverse_hessian, direction = _InverseHessian(gradient, settings), -gradient
-        try:
-            step = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
-        except _LineSearchError:
-            # Optim.jl forgets the curvature and tries steepest descent once.
-            inverse_hessian, direction = _InverseHessian(gradient, settings), -gradient
-            try:
-                step = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
-            except _LineSearchError:
-                message = "line search found no lower loss"
-                break
-        candidate = x + step * direction
+        step = _line_search(value, x, loss, gradient, inverse_hessian, settings)
+        if step is None:
+            message = "line search found no lower loss"
+            break
+        candidate = x + step
         new_loss, new_gradient = value_and_gradient(candidate)
-        if not (math.isfinite(new_loss) and np.isfinite(new_gradient).all()):
+        if not _finite(new_loss, new_gradient):
             message = "loss or gradient not finite"
             break
         change = candidate - x
@@ -99,14 +85,14 @@ def minimise(
         x, loss, gradient = candidate, new_loss, new_gradient
         losses.append(loss)
         if on_iteration is not None:
-            on_iteration(iteration, loss)
-        if unchanged:
-            converged, message = True, "no change"
-        elif _largest(gradient) <= settings.gradient_tolerance:
-            converged, message = True, "gradient tolerance"
-    else:
-        message = "all iterations done"
+            on_iteration(len(losses) - 1, loss)
+        converged = unchanged or _largest(gradient) <= settings.gradient_tolerance
+        message = "no change" if unchanged else "gradient tolerance"
     return Fit(x, np.array(losses), converged, message)
+
+
+def _finite(loss: float, gradient: Array) -> bool:
+    return math.isfinite(loss) and bool(np.isfinite(gradient).all())
 
 
 def _largest(vector: Array) -> float:
@@ -114,14 +100,20 @@ def _largest(vector: Array) -> float:
 
 
 class _InverseHessian:
-    """γ·I and the rank-two updates since, kept as pairs of steps and gradient changes."""
+    """γ·I and the rank-two updates since, stored as pairs of steps and gradient changes."""
 
     def __init__(self, gradient: Array, settings: BFGS) -> None:
+        self._step_norm = settings.initial_step_norm
+        self.reset(gradient)
+
+    def reset(self, gradient: Array) -> None:
+        """Discard the updates, and scale the identity to the gradient."""
         largest = _largest(gradient)
-        self._scale = settings.initial_step_norm / largest if largest > 0 else 1.0
+        self._scale = self._step_norm / largest if largest > 0 else 1.0
         self._pairs: list[tuple[Array, Array, float]] = []
 
     def update(self, change: Array, gradient_change: Array) -> None:
+        """Add the pair of a step, unless its curvature is not positive."""
         curvature = float(change @ gradient_change)
         if curvature > 0:
             self._pairs.append((change, gradient_change, 1.0 / curvature))
@@ -140,6 +132,28 @@ class _InverseHessian:
         return result
 
 
+def _line_search(
+    value: Callable[[Array], float],
+    x: Array,
+    loss: float,
+    gradient: Array,
+    inverse_hessian: _InverseHessian,
+    settings: BFGS,
+) -> Array | None:
+    """Return the step from x, or None if no step decreases the loss enough."""
+    direction = -(inverse_hessian @ gradient)
+    if not gradient @ direction < 0:
+        inverse_hessian.reset(gradient)
+        direction = -gradient
+    length = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
+    if length is None:
+        # Optim.jl discards the curvature and tries steepest descent once.
+        inverse_hessian.reset(gradient)
+        direction = -gradient
+        length = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
+    return None if length is None else length * direction
+
+
 def _backtrack(
     value: Callable[[Array], float],
     x: Array,
@@ -147,23 +161,23 @@ def _backtrack(
     loss: float,
     slope: float,
     settings: BFGS,
-) -> float:
-    """Length of a step that decreases the loss enough (cubic interpolation)."""
+) -> float | None:
+    """Return the length of a step that decreases the loss enough (cubic interpolation)."""
 
     def at(step: float) -> float:
         return value(x + step * direction)
 
     before, step = 1.0, 1.0
     loss_before, loss_at = loss, at(step)
-    # A diverging solve has no finite loss: halve until there is one, but no further
-    # than the machine's precision.
+    # Where a solve diverges the loss is not finite: halve the step until it is, up to machine
+    # precision.
     for _ in range(52):
         if math.isfinite(loss_at):
             break
         before, step = step, step / 2
         loss_at = at(step)
     else:
-        raise _LineSearchError
+        return None
     for backtrack in range(settings.max_backtracks + 1):
         if loss_at <= loss + settings.sufficient_decrease * step * slope:
             return step
@@ -173,20 +187,17 @@ def _backtrack(
         else:
             trial = _cubic_minimum(before, step, loss_before - loss - slope * before, excess, slope)
         before, loss_before = step, loss_at
-        trial = (
-            min(trial, step * settings.shrink_least)
-            if trial == trial
-            else (step * settings.shrink_least)
-        )
+        largest = step * settings.shrink_least
+        trial = largest if math.isnan(trial) else min(trial, largest)
         step = max(trial, step * settings.shrink_most)
         if step == 0:
             break
         loss_at = at(step)
-    raise _LineSearchError
+    return None
 
 
 def _cubic_minimum(a: float, b: float, excess_a: float, excess_b: float, slope: float) -> float:
-    """Minimum of the cubic through the start, its slope, and two trial steps."""
+    """Return the minimum of the cubic through the start, its slope, and two trial steps."""
     volume = a**2 * b**2 * (b - a)
     if volume == 0:
         return math.nan

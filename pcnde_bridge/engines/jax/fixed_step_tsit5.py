@@ -1,8 +1,8 @@
-"""Equal steps of Tsit5 for the momentum equation: compiled in a second, no step control.
+"""Integration in fixed steps of Tsit5, for the momentum equation; it compiles in a second.
 
-It integrates dH/dz = h of :mod:`pcnde_bridge.engines.jax.flow`.  With the steps known
-before, all that does not depend on the state is done for all of them at once: the
-drive at every stage, and the interpolant at every point, each one matrix product.
+It integrates dH/dz = h of :mod:`pcnde_bridge.engines.jax.flow`.  Because the steps are known in
+advance, everything independent of the state is computed for all steps in one matrix product each:
+the drive at every stage, and the interpolant at every point.
 """
 
 from __future__ import annotations
@@ -15,45 +15,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# Row i: weights of the slopes before in the state at which slope i + 1 is taken; the last row
+# Row i: weights of the earlier slopes in the state where slope i + 1 is evaluated; the last row
 # gives the state after the step.
 _A = np.zeros((6, 7))
 for _row, _weights in zip(_A, diffrax.Tsit5.tableau.a_lower, strict=True):
     _row[: len(_weights)] = _weights
 _C = np.asarray(diffrax.Tsit5.tableau.c)
-# Coefficients of θ, θ², θ³, θ⁴ in the seven slopes' weights (Tsitouras 2011).
-_INTERPOLANT = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [
-            -2.763706197274826,
-            0.1317,
-            3.9302962368947516,
-            -12.411077166933676,
-            37.50931341651104,
-            -27.896526289197286,
-            1.5,
-        ],
-        [
-            2.9132554618219126,
-            -0.2234,
-            -5.941033872131505,
-            30.33818863028232,
-            -88.1789048947664,
-            65.09189467479366,
-            -4.0,
-        ],
-        [
-            -1.0530884977290216,
-            0.1017,
-            2.490627285651253,
-            -16.548102889244902,
-            47.37952196281928,
-            -34.87065786149661,
-            2.5,
-        ],
-    ]
-)
+# Coefficients of θ, θ², θ³, θ⁴ in the weights of the seven slopes (Tsitouras 2011).
+# fmt: off
+_INTERPOLANT = np.array([
+    [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [-2.763706197274826, 0.1317, 3.9302962368947516, -12.411077166933676,
+     37.50931341651104, -27.896526289197286, 1.5],
+    [2.9132554618219126, -0.2234, -5.941033872131505, 30.33818863028232,
+     -88.1789048947664, 65.09189467479366, -4.0],
+    [-1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902,
+     47.37952196281928, -34.87065786149661, 2.5],
+])
+# fmt: on
 
 
 def integrate(
@@ -68,15 +47,15 @@ def integrate(
     Parameters
     ----------
     rate : callable
-        Of the drive (m, case) and the state (n, case), like which it is.
+        Derivative (n, case) for a drive (m, case) and a state (n, case).
     drive : array of shape (m, case, z)
-        At the points; linear between them.
+        Drive at the points; linear between them.
     z : array of shape (z,)
         Points, cm.
     steps : int
-        Equal steps from the first point to the last.
+        Number of equal steps from the first point to the last.
     size : int
-        n, of the state.
+        n, the length of the state.
 
     Returns
     -------
@@ -85,7 +64,8 @@ def integrate(
     """
     step = (z[-1] - z[0]) / steps
     starts = z[0] + step * jnp.arange(steps)
-    drives = jnp.einsum("mnz,zk->kmn", drive, _hats(z, (starts[:, None] + step * _C).ravel()))
+    hats = _hat_functions(z, (starts[:, None] + step * _C).ravel())
+    drives = jnp.einsum("mnz,zk->kmn", drive, hats)
     drives = drives.reshape(steps, len(_C), *drives.shape[1:])
 
     def advance(
@@ -98,24 +78,24 @@ def integrate(
             now = state + step * jnp.tensordot(weights, slopes, 1)
             return slopes.at[number].set(rate(at_stage, now)), now
 
-        # A loop, so that the rate is compiled once and not six times.
+        # A loop, so that the rate is compiled once instead of six times.
         slopes = jnp.zeros((7, *state.shape)).at[0].set(slope)
         slopes, states = jax.lax.scan(stage, slopes, (jnp.arange(1, 7), _A, drives))
         return (states[-1], slopes[-1]), jnp.concatenate([state[None], slopes])
 
     nothing = jnp.zeros((size, drive.shape[1]))
     first = nothing, rate(drive[:, :, 0], nothing)
-    _, kept = jax.lax.scan(advance, first, drives)
+    _, stored = jax.lax.scan(advance, first, drives)
     step_of = jnp.clip(jnp.searchsorted(starts, z, side="right") - 1, 0, steps - 1)
     share = (z - starts[step_of]) / step
     weights = step * (share[:, None] ** jnp.arange(1, 5)) @ _INTERPOLANT
     weights = jnp.concatenate([jnp.ones_like(weights[:, :1]), weights], axis=1)
     matrix = jax.nn.one_hot(step_of, steps)[:, :, None] * weights[:, None, :]
-    return jnp.einsum("zjk,jkmn->mnz", matrix, kept)
+    return jnp.einsum("zjk,jkmn->mnz", matrix, stored)
 
 
-def _hats(z: jax.Array, positions: jax.Array) -> jax.Array:
-    """Matrix (z, position) that interpolates linearly between the points."""
+def _hat_functions(z: jax.Array, positions: jax.Array) -> jax.Array:
+    """Return the matrix (z, position) that interpolates linearly between the points."""
     i = jnp.clip(jnp.searchsorted(z, positions, side="right") - 1, 0, z.shape[0] - 2)
     share = (positions - z[i]) / (z[i + 1] - z[i])
     points = jnp.arange(z.shape[0])[:, None]

@@ -4,12 +4,12 @@ The last layer of f_θ is linear, f = W·h(Q, S) + b, so the solution is
 
     Q(z) = Q_in + z·b + W·H(z),   dH/dz = h(Q, S),   H(0) = 0,
 
-with H as wide as the last hidden layer (8 in the paper) in place of Q's n_t
-instants.  Runge–Kutta steps, their error estimate and their interpolation are
-affine in the state, so stepping H gives the same Q as stepping Q, number by
-number but for round-off, at a tenth of the work.  The error is measured on Q.
-The area's part of the first layer is linear in S, and S is linear in z between
-grid points, so that part is computed once on the grid and interpolated.
+with H as wide as the last hidden layer (8 in the paper) instead of Q's n_t
+time points.  Runge–Kutta steps, their error estimate and their interpolation are
+affine in the state, so integrating H gives the same Q as integrating Q up to
+round-off, at a tenth of the cost.  The error is measured on Q.  The first layer's
+product with S is linear in S, and S is linear in z between the points, so the
+product is computed once at the points and interpolated.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.jax.adaptive_tsit5 import Here, march
-from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate
+from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
+from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate as integrate_in_fixed_steps
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
 from pcnde_bridge.engines.parameters import layer_sizes
 
 
 class FlowNetwork(NamedTuple):
-    """f_θ taken apart: what its first layer makes of Q and S, the middle, the last layer.
+    """Layers of f_θ, the first split into the parts for Q and S.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class FlowNetwork(NamedTuple):
     first_bias : array of shape (hidden,)
         Its bias.
     middle : list of (matrix, bias)
-        The hidden layers between.
+        The other hidden layers.
     last, last_bias : array of shape (hidden, time) and (time,)
         W (transposed) and b of the linear last layer.
     """
@@ -49,8 +49,8 @@ class FlowNetwork(NamedTuple):
     last_bias: jax.Array
 
 
-def take_apart(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> FlowNetwork:
-    """Read the network from its parameter vector."""
+def split_network(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> FlowNetwork:
+    """Return the network of a parameter vector."""
     widths = layer_sizes("flow", config, n_times, 0)
     (first, first_bias), *middle, (last, last_bias) = unpack(parameters, widths)
     return FlowNetwork(first[:n_times], first[n_times:], first_bias, middle, last, last_bias)
@@ -75,7 +75,7 @@ def solve(
     area : array of shape (case, time, z)
         S, cm².
     weight : array of shape (case,)
-        1, or 0 for a case that only fills a batch and must not steer the steps.
+        1, or 0 for a case that pads a batch and must not influence the steps.
     z : array of shape (z,)
         Points of the result, cm.
     config : PCNDEConfig
@@ -86,11 +86,11 @@ def solve(
     flow : array of shape (case, time, z)
         Q, mL/s.
     solved : array of shape (case,)
-        Whether the integration came to its end.
+        Whether the integration reached the last point.
     """
-    network = take_apart(parameters, inflow.shape[1], config)
+    network = split_network(parameters, inflow.shape[1], config)
     if config.flow.steps is not None:
-        return _solve_in_equal_steps(network, inflow, area, z, config)
+        return _solve_in_fixed_steps(network, inflow, area, z, config)
     from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
     hidden, solved = solve_hidden(network, inflow, from_area, weight, z, config)
     flow = (
@@ -118,7 +118,7 @@ def solve_hidden(
     inflow : array of shape (case, time)
         Q_in, mL/s.
     from_area : array of shape (case, z, hidden)
-        The area's part of the first layer, at the points.
+        Product of S and the first layer, at the points.
     weight, z, config
         As in :func:`solve`.
 
@@ -127,10 +127,10 @@ def solve_hidden(
     hidden : array of shape (case, z, hidden)
         H at the points.
     solved : array of shape (case,)
-        Whether the integration came to its end.
+        Whether the integration reached the last point.
     """
     if config.flow.steps is not None:
-        state = _in_equal_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
+        state = _hidden_in_fixed_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
         return jnp.moveaxis(state, 0, 2), _all_finite(state)
     stage = config.flow
     activation = ACTIVATIONS[stage.activation]
@@ -138,8 +138,9 @@ def solve_hidden(
     on_grid = jnp.moveaxis(from_area, 1, 0) + network.first_bias + inflow @ network.from_flow
     along_bias, along_hidden = last_bias @ network.from_flow, last @ network.from_flow
 
-    def rate(here: Here, position: jax.Array, state: jax.Array) -> jax.Array:
-        values = activation(here(on_grid) + (position - z[0]) * along_bias + state @ along_hidden)
+    def rate(interpolate: Interpolate, position: jax.Array, state: jax.Array) -> jax.Array:
+        drive = interpolate(on_grid) + (position - z[0]) * along_bias
+        values = activation(drive + state @ along_hidden)
         for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
         return values
@@ -154,21 +155,21 @@ def solve_hidden(
         return (error @ last) / (stage.atol + stage.rtol * size)
 
     start = jnp.zeros((inflow.shape[0], last.shape[0]))
-    hidden, solved = march(rate, scaled_error, start, weight, z, stage)
+    hidden, solved = integrate(rate, scaled_error, start, weight, z, stage)
     return jnp.moveaxis(hidden, 0, 1), solved
 
 
-def _solve_in_equal_steps(
+def _solve_in_fixed_steps(
     network: FlowNetwork, inflow: jax.Array, area: jax.Array, z: jax.Array, config: PCNDEConfig
 ) -> tuple[jax.Array, jax.Array]:
-    """See :func:`solve`; each product is made case by case, as the arrays lie in memory."""
+    """Solve in fixed steps; products are batched over cases, in the memory order of the arrays."""
     n_cases = inflow.shape[0]
 
     def for_each_case(matrix: jax.Array) -> jax.Array:
         return jnp.broadcast_to(matrix, (n_cases, *matrix.shape))
 
     from_area = for_each_case(network.from_area.T) @ area
-    hidden = _in_equal_steps(network, inflow, jnp.moveaxis(from_area, 1, 0), z, config)
+    hidden = _hidden_in_fixed_steps(network, inflow, jnp.moveaxis(from_area, 1, 0), z, config)
     flow = (
         inflow[:, :, None]
         + network.last_bias[:, None] * (z - z[0])
@@ -178,16 +179,16 @@ def _solve_in_equal_steps(
 
 
 def _all_finite(hidden: jax.Array) -> jax.Array:
-    """Whether H (hidden, case, z) is finite, case by case."""
+    """Return whether H (hidden, case, z) is finite, (case,)."""
     return jnp.all(jnp.isfinite(hidden), axis=(0, 2))
 
 
-def _in_equal_steps(
+def _hidden_in_fixed_steps(
     network: FlowNetwork, inflow: jax.Array, from_area: jax.Array, z: jax.Array, config: PCNDEConfig
 ) -> jax.Array:
-    """H at the points from the area's part of the first layer; both (hidden, case, z)."""
+    """Return H at the points from the product of S and the first layer; both (hidden, case, z)."""
     activation = ACTIVATIONS[config.flow.activation]
-    of_case = (network.first_bias + inflow @ network.from_flow).T
+    per_case = (network.first_bias + inflow @ network.from_flow).T
     along_bias = network.last_bias @ network.from_flow
     along_hidden = (network.last @ network.from_flow).T
     middle = [(matrix.T, bias[:, None]) for matrix, bias in network.middle]
@@ -198,5 +199,5 @@ def _in_equal_steps(
             values = activation(matrix @ values + bias)
         return values
 
-    drive = from_area + of_case[:, :, None] + along_bias[:, None, None] * (z - z[0])
-    return integrate(rate, drive, z, config.flow.steps or 0, len(network.last))
+    drive = from_area + per_case[:, :, None] + along_bias[:, None, None] * (z - z[0])
+    return integrate_in_fixed_steps(rate, drive, z, config.flow.steps or 0, len(network.last))

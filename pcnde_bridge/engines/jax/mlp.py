@@ -1,4 +1,4 @@
-"""The fully connected network in JAX, from the package's flat parameter layout."""
+"""Fully connected network in JAX, from the package's flat parameter layout."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 ACTIVATIONS = {
     "tanh": jnp.tanh,
-    # NNlib's (and so the paper's) GeLU is the tanh approximation.
+    # The GeLU of NNlib, and of the paper, is the tanh approximation.
     "gelu": lambda x: jax.nn.gelu(x, approximate=True),
     "relu": jax.nn.relu,
     "sigmoid": jax.nn.sigmoid,
@@ -19,7 +19,7 @@ ACTIVATIONS = {
 
 
 def unpack(parameters: jax.Array, widths: Sequence[int]) -> list[tuple[jax.Array, jax.Array]]:
-    """Weights, transposed to (in, out), and bias of every layer."""
+    """Return the weights, transposed to (in, out), and the bias of every layer."""
     layers, start = [], 0
     for n_in, n_out in pairwise(widths):
         weight = parameters[start : start + n_in * n_out].reshape(n_in, n_out)

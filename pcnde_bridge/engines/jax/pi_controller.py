@@ -1,10 +1,10 @@
-"""The step control of DifferentialEquations.jl's Tsit5, for diffrax.
+"""Step size controller of DifferentialEquations.jl's Tsit5, for diffrax.
 
-Both engines then take the same steps, so that their results agree far below the
-tolerance of the solve.  The controller is Hairer and Wanner's proportional-
-integral one (Solving Ordinary Differential Equations II, section IV.2) with
-the exponents 7/50 and 2/25; it differs from diffrax's own in what it takes as
-the error before the first step and in what follows a rejected step.
+With it both engines take the same steps, so that their results agree far below the
+tolerance of the solve.  It is the proportional-integral controller of Hairer and Wanner
+(Solving Ordinary Differential Equations II, section IV.2) with the exponents 7/50 and 2/25.
+It differs from diffrax's controller in the error assumed before the first step and after
+a rejected step.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _FIRST_ERROR = 1e-4
 
 
 class PIController(diffrax.AbstractStepSizeController[Any, Any]):
-    """Proportional-integral step control of an error measured by ``error_norm``.
+    """Proportional-integral controller for an error measured by ``error_norm``.
 
     Attributes
     ----------
     error_norm : callable
-        ``(t0, t1, y0, y1, y_error) -> scalar``; a step is accepted up to 1.
+        ``(t0, t1, y0, y1, y_error) -> scalar``; a step with at most 1 is accepted.
     """
 
     error_norm: Callable[..., jax.Array]
@@ -47,7 +47,7 @@ class PIController(diffrax.AbstractStepSizeController[Any, Any]):
         func: Any,
         error_order: Any,
     ) -> tuple[Any, Any]:
-        """First step, and the error taken as the one before it."""
+        """Return the end of the first step, and the error assumed before it."""
         return t0 + dt0, jnp.asarray(_FIRST_ERROR)
 
     def adapt_step_size(
@@ -66,7 +66,7 @@ class PIController(diffrax.AbstractStepSizeController[Any, Any]):
         error = jax.lax.stop_gradient(self.error_norm(t0, t1, y0, y1_candidate, y_error))
         accept = error <= 1
         proportional = error**_BETA1
-        # A zero error grows the step by the largest factor, a NaN shrinks it by the smallest.
+        # The factor is the largest for an error of zero, and the smallest for NaN.
         accepted = jnp.clip(
             _SAFETY * previous**_BETA2 / jnp.maximum(proportional, 1e-300), _SHRINK, _GROW
         )

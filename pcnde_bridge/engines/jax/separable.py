@@ -1,4 +1,4 @@
-"""Fields over time and space that are a sum of few products T(t)·Z(z)."""
+"""Fields over time and space that are a sum of a few products T(t)·Z(z)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import jax.numpy as jnp
 
 
 class Separable(NamedTuple):
-    """The field offset + Σ_k T_k(t)·Z_k(z) of every case.
+    """Field offset + Σ_k T_k(t)·Z_k(z) of every case.
 
     Attributes
     ----------
     offset : array that broadcasts to (case, time, z)
-        The part that depends on one of time and space alone.
+        The part that depends on time or on space alone.
     in_time : array of shape (k, time)
-        T, common to all cases.
+        T, the same for all cases.
     in_space : array of shape (case, k, z)
         Z.
     """
@@ -27,7 +27,7 @@ class Separable(NamedTuple):
     in_space: jax.Array
 
     def values(self) -> jax.Array:
-        """Evaluate it, (case, time, z): few terms, which one fused loop adds up."""
+        """Evaluate the field, (case, time, z), in one fused loop over the terms."""
         terms = (
             self.in_time[k][None, :, None] * self.in_space[:, k, None, :]
             for k in range(self.in_time.shape[0])

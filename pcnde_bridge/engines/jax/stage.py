@@ -1,10 +1,9 @@
-"""From a function of parameters and cases to an engine's stage: pad, compile, fit."""
+"""Stage of the JAX engine: pads the cases, compiles an equation, and fits it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -16,8 +15,8 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines.jax.bfgs import minimise
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration
+from pcnde_bridge.engines.jax.bfgs import minimize
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, arrays_of
 from pcnde_bridge.errors import SolveError
 
 InputsT = TypeVar("InputsT")
@@ -26,7 +25,7 @@ _LARGEST_BATCH = 128
 
 
 class Model(Protocol):
-    """A stage's equation for several cases at once."""
+    """Equation of a stage for several cases."""
 
     def __call__(
         self,
@@ -36,34 +35,34 @@ class Model(Protocol):
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the prediction (case, time, z) and whether it, or each case, could be computed.
+        """Return the prediction (case, time, z), and whether it, or each case, was solved.
 
-        ``weight`` (case,) is 0 for cases that only fill a batch.
+        ``weight`` (case,) is 0 for cases that only pad a batch.
         """
         ...
 
 
 class JaxStage(Generic[InputsT]):
-    """One stage, compiled once per shape.
+    """JAX implementation of :class:`pcnde_bridge.engines.protocol.Stage`.
 
-    Numbers of cases are rounded up to 2^k or 3·2^(k−1), so that few shapes are
-    compiled: training's last, smaller batch has the shape of the others.
+    It is compiled once for each shape.  Numbers of cases are rounded up to 2^k or 3·2^(k−1),
+    so that few shapes occur: the last, smaller batch of an epoch is padded to the others'.
 
     Parameters
     ----------
     model : Model
         The equation.
     depends_on : tuple of str
-        The groups of settings that the equation needs; a change of others
-        compiles nothing again.
+        Groups of settings that the equation needs; a change of other settings
+        does not trigger a compilation.
     compared : callable
-        Takes the part of the prediction that the loss compares with the target,
-        ``(prediction, n_times) -> array``.
+        ``(prediction, n_times) -> array``, the part of the prediction that the loss
+        compares with the target.
     loss_scale : callable
         ``(config, count) -> divisor`` of the sum of squares.
-    each_on_its_own : callable
-        Whether :meth:`solve` must map the model over single cases with a configuration,
-        because its cases influence each other through the step control.
+    case_by_case : callable
+        ``config -> bool``, whether :meth:`solve` must map the model over single cases,
+        because they influence each other through the step control.
     """
 
     def __init__(
@@ -73,13 +72,13 @@ class JaxStage(Generic[InputsT]):
         *,
         compared: Callable[[jax.Array, int], jax.Array] = lambda prediction, _: prediction,
         loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
-        each_on_its_own: Callable[[PCNDEConfig], bool] = lambda _: False,
+        case_by_case: Callable[[PCNDEConfig], bool] = lambda _: False,
     ) -> None:
         self._model = model
         self._depends_on = depends_on
         self._compared = compared
         self._loss_scale = loss_scale
-        self._each_on_its_own = each_on_its_own
+        self._case_by_case = case_by_case
         compile_ = partial(jax.jit, static_argnames=("config",))
         self._solve = compile_(self._predict)
         self._value = compile_(self._loss)
@@ -95,7 +94,7 @@ class JaxStage(Generic[InputsT]):
                 predicted, solved = self._solve(parameters, part, where, config=settings)
                 return (predicted,), solved
 
-            (result,) = in_batches(compute, _arrays(inputs))
+            (result,) = in_batches(compute, arrays_of(inputs))
             return result
 
     def loss_and_gradient(
@@ -115,12 +114,12 @@ class JaxStage(Generic[InputsT]):
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             data, settings = _fit_data(inputs, target, grid), self._relevant(config)
-            together = max(1, _LARGEST_BATCH // len(data[1]))
+            rows_per_call = max(1, _LARGEST_BATCH // len(data[1]))
             parts = []
-            for start in range(0, len(parameters), together):
-                part = parameters[start : start + together]
-                # Filled up with the first, so that one shape is compiled.
-                rows = [*part, *[part[0]] * (together - len(part))]
+            for start in range(0, len(parameters), rows_per_call):
+                part = parameters[start : start + rows_per_call]
+                # Padded with the first row, so that one shape is compiled.
+                rows = [*part, *[part[0]] * (rows_per_call - len(part))]
                 values = self._values(jnp.asarray(np.stack(rows)), *data, config=settings)
                 parts.append(np.asarray(values)[: len(part)])
             return np.concatenate(parts)
@@ -129,9 +128,9 @@ class JaxStage(Generic[InputsT]):
         self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        # Cases of weight 0 stay, so that every choice is compiled once.
+        # Cases of weight 0 are retained, so that all selections share one compilation.
         with double_precision():
-            arrays = tuple(jnp.asarray(a) for a in _arrays(inputs))
+            arrays = tuple(jnp.asarray(a) for a in arrays_of(inputs))
             weights, settings = jnp.asarray(weight, dtype=float), self._relevant(config)
             data = arrays, weights, jnp.asarray(target), _on_device(grid)
 
@@ -163,7 +162,7 @@ class JaxStage(Generic[InputsT]):
                 loss, gradient = self._value_and_gradient(x, *data, config=settings)
                 return float(loss), np.asarray(gradient)
 
-            return minimise(
+            return minimize(
                 value, value_and_gradient, parameters, config.optimizer, iterations, on_iteration
             )
 
@@ -178,7 +177,7 @@ class JaxStage(Generic[InputsT]):
         config: PCNDEConfig,
     ) -> tuple[jax.Array, jax.Array]:
         count = inputs[0].shape[0]
-        if not self._each_on_its_own(config):
+        if not self._case_by_case(config):
             predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
             return predicted, jnp.broadcast_to(solved, (count,))
 
@@ -198,7 +197,7 @@ class JaxStage(Generic[InputsT]):
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
     ) -> jax.Array:
-        # A case counts in the steps' error or not, whatever the weight of its squares.
+        # In the step control every case with a positive weight counts alike.
         counted = (weight > 0).astype(weight.dtype)
         predicted, solved = self._model(parameters, inputs, counted, grid, config)
         error = self._compared(predicted, target.shape[1]) - target
@@ -215,7 +214,7 @@ class JaxStage(Generic[InputsT]):
         grid: tuple[jax.Array, jax.Array],
         config: PCNDEConfig,
     ) -> jax.Array:
-        """Loss of each row of parameters."""
+        """Return the loss of each row of parameters."""
         return jax.vmap(lambda row: self._loss(row, inputs, weight, target, grid, config))(
             parameters
         )
@@ -225,20 +224,19 @@ def in_batches(
     compute: Callable[[tuple[jax.Array, ...]], tuple[tuple[jax.Array, ...], jax.Array]],
     arrays: tuple[Array, ...],
 ) -> tuple[Array, ...]:
-    """Compute case by case in batches of few sizes, and join the results.
+    """Compute cases in batches of a few sizes, and join the results.
 
     Parameters
     ----------
     compute : callable
-        Takes arrays of as many cases, returns results and, for each case,
-        whether it was solved.
+        Maps arrays of some cases to results and, for each case, whether it was solved.
     arrays : tuple of arrays of shape (case, ...)
         All cases.
 
     Raises
     ------
     SolveError
-        Naming the first case that was not solved.
+        With the first case that was not solved.
     """
     batches = []
     for start in range(0, len(arrays[0]), _LARGEST_BATCH):
@@ -253,15 +251,11 @@ def in_batches(
                 "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
                 "resemble the training data."
             )
-        # Copies, as what is JAX's own cannot be written to.
+        # Copies, because JAX's own arrays are read-only.
         batches.append([np.array(np.asarray(r)[:count]) for r in results])
     if len(batches) == 1:
         return tuple(batches[0])
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
-
-
-def _arrays(inputs: Any) -> tuple[Array, ...]:
-    return tuple(getattr(inputs, f.name) for f in fields(inputs))
 
 
 def _on_device(grid: Grid) -> tuple[jax.Array, jax.Array]:
@@ -269,7 +263,7 @@ def _on_device(grid: Grid) -> tuple[jax.Array, jax.Array]:
 
 
 def _fit_data(inputs: Any, target: Array, grid: Grid) -> tuple[Any, ...]:
-    arrays = _arrays(inputs)
+    arrays = arrays_of(inputs)
     count = target.shape[0]
     weight = np.zeros(_rounded_up(count))
     weight[:count] = 1
@@ -283,7 +277,7 @@ def _rounded_up(count: int) -> int:
 
 
 def _padded(arrays: tuple[Array, ...]) -> tuple[jax.Array, ...]:
-    """Arrays with the last case repeated up to a size that is compiled anyway."""
+    """Repeat the last case up to the next compiled size."""
     count = arrays[0].shape[0]
     missing = _rounded_up(count) - count
     if missing == 0:

@@ -1,8 +1,7 @@
-"""Momentum equation ∂Q/∂t = f_θ(Q) or f_θ(Q, t): the classical Runge–Kutta method in time.
+"""Momentum equation in time, ∂Q/∂t = f_θ(Q) or f_θ(Q, t), by the classical Runge–Kutta method.
 
-One ordinary differential equation for each point of the vessel, all coupled by the
-network.  After each step the inlet's value is replaced by Q_in, and the result is
-differentiated with the steps.
+Each point of the vessel has one ordinary differential equation, and the network couples them.
+After each step the inlet's value is replaced by Q_in.  Gradients are those of the discrete steps.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ def solve(
     period: jax.Array,
     config: PCNDEConfig,
 ) -> tuple[jax.Array, jax.Array]:
-    """Integrate one cycle, from its first instant to its last.
+    """Integrate one cycle, from its first time point to its last.
 
     Parameters
     ----------
     parameters : array of shape (size,)
         The network.
     inflow : array of shape (case, time)
-        Q_in, mL/s; linear between the instants.
+        Q_in, mL/s; linear between the time points.
     initial_flow : array of shape (case, z)
-        Q at the first instant, mL/s.
+        Q at the first time point, mL/s.
     period : scalar
         Length of the cycle, s.
     config : PCNDEConfig
-        Network and steps from instant to instant.
+        Network, and steps between two time points.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The closures of preset ``physics`` in JAX: values, Jacobians and coupled predictions.
+"""Closures of the ``physics`` preset in JAX: values, Jacobians and coupled predictions.
 
-One module for each closure; ``engine`` couples them.
+Each closure has its own module; ``coupling`` couples them, and ``engine`` calls them.
 """

@@ -1,14 +1,13 @@
-"""The learned share g of the wall's storage that the averaged flow does not show.
+"""Trained share g of the wall's storage that is missing from the cross-sectional mean flow.
 
 A network of two local quantities of the passive tube, the rate u of its outlet pressure
-and its outlet flow y, gives at every instant
+and its outlet flow y, gives at every time point
 
     g = c·sigmoid(N_θ(u/u_scale, y/y_scale) + shift),
 
-where the ceiling c is the largest share that the training cases show: beyond them the
-flow shows no less of the storage than it ever did, and a steady flow is left alone.  It
-knows nothing of t itself: a wave shifted in time gives the shifted answer, on any time
-grid.
+where the ceiling c is the largest share among the training cases: g never exceeds it,
+and a steady flow is unchanged.  N_θ does not depend on t itself: a waveform
+shifted in time gives the shifted result, on any time grid.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pcnde_bridge.engines.jax.mlp import unpack
 
 
 def storage_factor(parameters: jax.Array) -> jax.Array:
-    """κ: how much flow goes into a change of the wall's volume; 1 where volume is conserved."""
+    """Return κ, the flow per change of the wall's volume; 1 where volume is conserved."""
     return parameters[0]
 
 
@@ -41,7 +40,7 @@ def hidden_share(
     pressure_rate, flow : array of shape (time,)
         u and y.
     shift : scalar
-        Added before the sigmoid: 0, or a draw of what differs from case to case.
+        Added before the sigmoid: 0, or a sample of the case-to-case variation.
     hidden : tuple of int
         Widths of the hidden layers.
     """

@@ -1,32 +1,33 @@
-r"""Flow, area and pressure of one case, coupled: a spatial differential equation for Q.
+r"""Coupling of flow, area and pressure: a spatial differential equation for Q of one case.
 
     ∂Q/∂z = −κ·(1 − g)·∂S/∂t,    Q(z₀, t) = Q_in(t),
     S     = π·(r_u + u_r[p])²,                           (wall)
     p     = p_d + 𝒵 Q(L) + losses[Q],                    (outlet, losses)
 
-periodic in time.  With κ = 1 and g = 0 it is continuity.  The learned g
+periodic in time.  With κ = 1 and g = 0 it is continuity.  The trained g
 (:mod:`~pcnde_bridge.engines.jax.closures.correction`) is a function of the response of
-the passive linear tube, which follows from the inflow alone: the equation with g = 0 and the
-learned κ, without the losses and the square in S, is linear in Q.
+the passive linear tube, which depends on the inflow alone: the equation with g = 0 and the
+trained κ, without the losses and the square in S, is linear in Q.
 
-The wall is linear in p and the losses are a sum of few products of functions of z and
-of t, so that the integrals over z are done once for each vessel, exactly on its grid,
-and only the outlet flow y = Q(L) is sought, or what is stored of the inflow, d = Q_in − y:
+The wall is linear in p, and the losses are a sum of a few products of functions of z and
+of t.  The integrals over z are therefore computed once for each vessel, exactly on its grid,
+and the only unknown is the outlet flow y = Q(L), or the stored inflow d = Q_in − y:
 
     e·d = κ·∂V/∂t,    e(t) = 1/(1 − g),
 
 with the volume V(t) of the vessel, a function of P = 𝒵y + p_d − p₀ and of the losses.
 Each coupling pass solves the part that is linear with constant coefficients, harmonic by
-harmonic, for what the pass before it left over:
+harmonic, for the remainder of the previous pass:
 
     (ē + κ·A(ω))·Δy = e·d − κ·∂V/∂t,
 
-where A(ω) is ∂V/∂t of a small y about the mean flow and pressure, and ē lies between the
-mean of e and the middle of its range, with which fewer passes are needed than with either.
+where A(ω) is ∂V/∂t of a small y about the mean flow and pressure, and ē is halfway between the
+mean of e and the middle of its range, which needs fewer passes than either.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import reduce
 from typing import Any, Literal, NamedTuple
 
@@ -34,34 +35,36 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import CorrectionClosure, Physics
+from pcnde_bridge.engines.equations import (
+    harmonic_frequencies,
+    outlet_impedance,
+    spectral_derivative,
+)
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
-from pcnde_bridge.engines.jax.closures.spectral import (
-    derivative,
-    frequencies,
-    from_inlet,
-)
+from pcnde_bridge.engines.jax.closures.integrals import from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
 
 _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-"""Harmonics of Q(L), the bounds of their last change and of that before, number of passes."""
+"""Harmonics of Q(L), bounds of the last two changes of Q(L), and number of passes."""
 
 
 class VesselModes(NamedTuple):
-    """Functions of z of one vessel: flow, area and pressure are their sums.
+    """Functions of z of one vessel, which sum up to flow, area and pressure.
 
-    They belong to the functions of time of :class:`Coupled`, with k = 10 modes of the losses.
+    They are the factors of the functions of time of :class:`Coupled`, with k = 10 modes of the
+    losses.
 
     Attributes
     ----------
     flow : array of shape (3 + k, z)
-        1, and the volume before z that belongs to P, to P² and to the modes.
+        1, and the volume before z for P, for P² and for the modes.
     area : array of shape (3 + k, z)
-        Of P², of 1, of P and of the modes: (r_u + u_r)² without the products of modes.
+        Area for P², for 1, for P and for the modes: (r_u + u_r)² without the products of modes.
     pressure : array of shape (2 + k, z)
         p₀, 1 and the losses' functions of z.
     flow_slope, area_slope : array of shape (k, z)
-        What the mean of P adds to the modes' rows of flow and area.
+        Increase of the modes' rows of flow and area with the mean of P.
     """
 
     flow: jax.Array
@@ -72,20 +75,20 @@ class VesselModes(NamedTuple):
 
 
 class Coupled(NamedTuple):
-    """The converged functions of time of one case; k as in :class:`VesselModes`.
+    """Converged functions of time of one case; k as in :class:`VesselModes`.
 
     Attributes
     ----------
     flow : array of shape (3 + k, time)
-        Of the flow: Q_in, and −κ(1 − g)·∂_t of P = p(L) − p₀, of P² and of the modes.
+        Factors of the flow: Q_in, and −κ(1 − g)·∂_t of P = p(L) − p₀, of P² and of the modes.
     area : array of shape (3 + k, time)
-        Of the area: P², 1, P and the modes; without the first those of the pressure.
+        Factors of the area: P², 1, P and the modes; all but the first are those of the pressure.
     mean_pressure : scalar
-        The mean of P that the inflow gives.
+        Mean of P for the mean inflow.
     change : scalar
-        No change of Q(L) in the last pass was larger, mL/s.
+        Upper bound of the change of Q(L) in the last pass, mL/s.
     reverses : scalar
-        Whether some flow goes back; else the last three modes are zero.
+        Whether flow reverses anywhere; otherwise the last three modes are zero.
     """
 
     flow: jax.Array
@@ -124,16 +127,6 @@ def vessel_modes(
     )
 
 
-def impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
-    """𝒵(ω) = R₁ + R₂/(1 + iωR₂C) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵, (harmonic).
-
-    Of Nyquist's harmonic the instants show the part in phase only.
-    """
-    r1, r2, compliance, _ = outlet
-    z: jax.Array = r1 + r2 / (1 + 1j * frequencies(n_times, period) * r2 * compliance)
-    return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
-
-
 def couple(
     outlet: jax.Array,
     wall: jax.Array,
@@ -146,7 +139,7 @@ def couple(
     settings: CorrectionClosure,
     tolerance: float | None = None,
 ) -> Coupled:
-    """Find the outlet flow, and all functions of time with it.
+    """Find the outlet flow, and with it all functions of time.
 
     Parameters
     ----------
@@ -161,18 +154,16 @@ def couple(
     period : scalar
         s.
     settings : CorrectionClosure
-        Hidden layers of the correction and number of coupling passes.
+        Hidden layers of the correction, and number of coupling passes.
     tolerance : float, optional
-        End once the next pass would change Q(L) by less, relative to the largest inflow,
-        if it changed it as much less as the last one did; without it all passes are made,
-        as derivatives need it.
+        The passes end once the expected next change of Q(L) is smaller, relative to the
+        largest inflow; changes are expected to shrink as in the last pass.  Without it
+        all passes are run, as derivatives require.
     """
     n_times = inflow.shape[0]
-    i_omega = derivative(n_times, period)
-    # All harmonics but the mean and Nyquist's stand for two.
-    share = jnp.where(2 * jnp.arange(i_omega.size) % n_times == 0, 1, 2) / n_times
+    i_omega = spectral_derivative(n_times, period, jnp)
     with_rates = jnp.stack([jnp.ones_like(i_omega), i_omega, i_omega**2])
-    z_outlet = impedance(outlet, n_times, period)
+    z_outlet = _impedance(outlet, n_times, period)
     with_rate = z_outlet * with_rates[:2]
     kappa = storage_factor(correction)
     inflow_harmonics = jnp.fft.rfft(inflow)
@@ -184,19 +175,12 @@ def couple(
     offset = outlet[3] - wall[-1]
     mean_pressure = z_outlet[0].real * mean_flow + offset
     total = jnp.concatenate([flow[1:3], flow[3:] + mean_pressure * flow_slope])
-
     passive = inflow_harmonics / (1 + kappa * total[0] * with_rate[1])
     passive_flow, passive_rate = signals(jnp.stack([passive, with_rate[1] * passive]))
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
+    linear = _linear_filling(total, with_rate[1], i_omega, mean_flow, mean_pressure)
     middle = (jnp.max(shown) + jnp.min(shown)) / 2
-
-    # Of the modes d, ∂d/∂t and q·d, which come with −y.
-    of_stored, of_rate = total[3], total[5]
-    of_product = jnp.where(mean_flow >= 0, total[7], total[10])
-    linear = with_rate[1] * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
-        of_stored + of_product * mean_flow + i_omega * of_rate
-    )
     solve = 1 / ((jnp.mean(shown) + middle) / 2 + kappa * linear)
 
     def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -213,28 +197,10 @@ def couple(
         change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
         return change
 
-    def advance(before: _Pass) -> _Pass:
-        harmonics, last_change, _, number = before
-        change = one_pass(harmonics)
-        # No signal exceeds the sum of its harmonics' amplitudes.
-        largest = jnp.sum(share * jnp.abs(change))
-        return harmonics + change, largest, last_change, number + 1
-
     inflow_signals = signals(with_rates * inflow_harmonics).at[0].set(inflow)
-    none = jnp.zeros(())
-    first = passive, none, none, jnp.zeros((), dtype=int)
-    if tolerance is None:
-        last = jax.lax.fori_loop(0, settings.passes, lambda _, b: advance(b), first)
-    else:
-        settled = tolerance * jnp.max(jnp.abs(inflow))
-
-        def goes_on(last: _Pass) -> jax.Array:
-            _, change, before, number = last
-            unsettled: jax.Array = change**2 > settled * jnp.maximum(change, before)
-            return (number < settings.passes) & ((number == 0) | unsettled)
-
-        last = jax.lax.while_loop(goes_on, advance, first)
-    stored, pressure = state(last[0])
+    settled = None if tolerance is None else tolerance * jnp.max(jnp.abs(inflow))
+    harmonics, change = _iterate(one_pass, passive, n_times, settings.passes, settled)
+    stored, pressure = state(harmonics)
     modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
     rates = jnp.stack(volume_rates(tuple(pressure), mode_rates))
     p = pressure[0]
@@ -242,12 +208,75 @@ def couple(
         jnp.concatenate([inflow[None], -kappa * (1 - g) * rates]),
         jnp.stack([p**2, jnp.ones_like(p), p, *modes]),
         mean_pressure,
-        last[1],
+        change,
         ~jnp.all(losses.goes_forward(inflow_signals[0], stored[0])),
     )
 
 
+def _impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
+    """Return 𝒵(ω) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵, (harmonic).
+
+    At the time points only the in-phase part of the Nyquist harmonic is visible.
+    """
+    omega = harmonic_frequencies(n_times, period, jnp)
+    z: jax.Array = outlet_impedance(outlet[0], outlet[1], outlet[2], omega)
+    return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
+
+
+def _linear_filling(
+    total: jax.Array,
+    pressure_rate: jax.Array,
+    i_omega: jax.Array,
+    mean_flow: jax.Array,
+    mean_pressure: jax.Array,
+) -> jax.Array:
+    """Return A(ω) from the volumes of P, P² and the modes, and from iω·𝒵(ω)."""
+    # The modes d, ∂d/∂t and q·d, which contain −y.
+    of_stored, of_rate = total[3], total[5]
+    of_product = jnp.where(mean_flow >= 0, total[7], total[10])
+    result: jax.Array = pressure_rate * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
+        of_stored + of_product * mean_flow + i_omega * of_rate
+    )
+    return result
+
+
+def _iterate(
+    one_pass: Callable[[jax.Array], jax.Array],
+    passive: jax.Array,
+    n_times: int,
+    passes: int,
+    settled: jax.Array | None,
+) -> tuple[jax.Array, jax.Array]:
+    """Run coupling passes from the passive tube: harmonics of Q(L), bound of the last change.
+
+    ``settled`` is the change, mL/s, below which the passes end; without it all are run.
+    """
+    # All harmonics but the mean and the Nyquist harmonic occur twice.
+    share = jnp.where(2 * jnp.arange(passive.size) % n_times == 0, 1, 2) / n_times
+
+    def advance(before: _Pass) -> _Pass:
+        harmonics, last_change, _, number = before
+        change = one_pass(harmonics)
+        # No signal exceeds the sum of its harmonics' amplitudes.
+        largest = jnp.sum(share * jnp.abs(change))
+        return harmonics + change, largest, last_change, number + 1
+
+    zero = jnp.zeros(())
+    first = passive, zero, zero, jnp.zeros((), dtype=int)
+    if settled is None:
+        last = jax.lax.fori_loop(0, passes, lambda _, before: advance(before), first)
+        return last[0], last[1]
+
+    def continues(last: _Pass) -> jax.Array:
+        _, change, before, number = last
+        unsettled: jax.Array = change**2 > settled * jnp.maximum(change, before)
+        return (number < passes) & ((number == 0) | unsettled)
+
+    last = jax.lax.while_loop(continues, advance, first)
+    return last[0], last[1]
+
+
 def volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
-    """∂/∂t of P, P² and the modes, 2 + k of (time,)."""
+    """Return ∂/∂t of P, P² and the modes, 2 + k of (time,)."""
     p, p_rate = pressure
     return p_rate, 2 * p * p_rate, *mode_rates

@@ -1,4 +1,4 @@
-"""The closures of the ``physics`` preset in JAX: wall, losses, correction, and all coupled."""
+"""Values, Jacobians and batched predictions of the closures."""
 
 from __future__ import annotations
 
@@ -16,20 +16,12 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
-from pcnde_bridge.config import (
-    ClosureConfig,
-    CorrectionClosure,
-    WallClosure,
-)
+from pcnde_bridge.config import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
-from pcnde_bridge.engines.jax.closures.coupling import (
-    VesselModes,
-    couple,
-    vessel_modes,
-)
+from pcnde_bridge.engines.jax.closures.coupling import VesselModes, couple, vessel_modes
 from pcnde_bridge.engines.jax.closures.pressure_losses import REVERSED
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.engines.types import Problem, Solution
@@ -38,39 +30,39 @@ from pcnde_bridge.errors import SolveError
 __all__ = ["JaxClosures"]
 
 _BATCH = 64
-"""Cases computed together: their functions of time and of z stay in the processor's cache."""
+"""Cases in one batch: their functions of time and of z fit into the processor's cache."""
 
 _BLOCK = 4096
-"""Cases whose vessels are kept at a time."""
+"""Cases whose vessels are in memory at a time."""
 
 _SETTLED = 1e-9
-"""No more coupling pass that would change the flow by less, relative to the largest inflow."""
+"""Expected change of the flow below which the passes end, relative to the largest inflow."""
 
 _SCALARS = 3
-"""Numbers of a coupled case that are not signals; see :func:`_couple`."""
+"""Number of scalars of a coupled case; see :func:`_couple`."""
 
 _CONVERGED = 1e-4
-"""Largest change of the last coupling pass, relative to the largest inflow."""
+"""Largest accepted change in the last coupling pass, relative to the largest inflow."""
 
 
 class JaxClosures:
     """JAX implementation of :class:`pcnde_bridge.engines.protocol.Closures`."""
 
     def __init__(self) -> None:
-        # The vessels of the last batch, with what they were computed from.
+        # The vessels of the last block, with the arguments of their computation.
         self._vessels: tuple[tuple[ClosureConfig | bytes, ...], VesselModes] | None = None
         self._buffers = Buffers()
 
     def losses(
         self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         return _problem(_losses, (flow, area_undeformed), (grid.z, grid.period), config)
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
     ) -> Problem:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         return _problem(_area, (pressure, area_undeformed), (grid.z,), config)
 
     def flow(
@@ -82,7 +74,7 @@ class JaxClosures:
         grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         with double_precision():
             vessels = _vessels(
                 others.wall, others.losses, area_undeformed, grid.z, config=_relevant(config)
@@ -99,34 +91,38 @@ class JaxClosures:
         grid: Grid,
         config: ClosureConfig,
     ) -> Solution:
-        """See the protocol."""
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         settings, count = _relevant(config), len(inflow)
         shape = count, inflow.shape[1], grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
-        cases = shift, inflow
         for start in range(0, count, _BLOCK):
             block = slice(start, min(start + _BLOCK, count))
             vessels, which = self._vessels_of(parameters, area_undeformed[block], grid, settings)
-
-            def compute(
-                first: int,
-                vessels: VesselModes = vessels,
-                which: npt.NDArray[np.int64] = which,
-                block: slice = block,
-            ) -> None:
-                rows = slice(first, min(first + _BATCH, block.stop))
-                chosen = which[rows.start - block.start : rows.stop - block.start]
-                mine = tuple(a[rows] for a in cases)
-                _predict_batch(parameters, vessels, chosen, mine, rows, grid, settings, result)
-
-            batches = range(block.start, block.stop, _BATCH)
-            if len(batches) == 1:
-                compute(block.start)
+            batches = [
+                slice(first, min(first + _BATCH, block.stop))
+                for first in range(block.start, block.stop, _BATCH)
+            ]
+            tasks = [
+                partial(
+                    _predict_batch,
+                    parameters,
+                    vessels,
+                    which[rows.start - start : rows.stop - start],
+                    (shift[rows], inflow[rows]),
+                    rows,
+                    grid,
+                    settings,
+                    result,
+                )
+                for rows in batches
+            ]
+            if len(tasks) == 1:
+                tasks[0]()
                 continue
-            # One thread more than processors, as one usually waits for JAX.
+            # One thread more than processors, because one usually waits for JAX.
             with ThreadPoolExecutor(max_workers=(os.cpu_count() or 1) + 1) as pool:
-                # Asking for the results raises what a batch raised.
-                list(pool.map(compute, batches))
+                for finished in [pool.submit(task) for task in tasks]:
+                    finished.result()  # raises the batch's exception
         return result
 
     def _vessels_of(
@@ -136,13 +132,13 @@ class JaxClosures:
         grid: Grid,
         config: ClosureConfig,
     ) -> tuple[VesselModes, npt.NDArray[np.int64]]:
-        """Integrate along each different vessel; return the modes and each case's vessel.
+        """Integrate along each distinct vessel; return the modes and each case's vessel.
 
-        Many waveforms usually share few vessels, and one call's are often the next one's.
+        Many waveforms usually share few vessels, and consecutive calls often have the same ones.
         """
         names = [s.tobytes() for s in area_undeformed]
         first = {name: case for case, name in enumerate(names)}
-        # In an order that is not the cases', so that a set of vessels is known again.
+        # Sorted, so that a set of vessels is recognized in any order of the cases.
         place = {name: row for row, name in enumerate(sorted(first))}
         which = np.array([place[name] for name in names])
         fixed = grid.z, parameters.wall, parameters.losses
@@ -153,7 +149,7 @@ class JaxClosures:
         parts = []
         with double_precision():
             for start in range(0, len(different), _BATCH):
-                s_u = _filled_up(different[start : start + _BATCH])
+                s_u = _padded(different[start : start + _BATCH])
                 modes = _vessels(parameters.wall, parameters.losses, s_u, grid.z, config=config)
                 parts.append(jax.tree.map(np.asarray, modes))
         vessels: VesselModes = jax.tree.map(lambda *a: np.concatenate(a), *parts)
@@ -171,7 +167,7 @@ def _predict_batch(
     config: ClosureConfig,
     result: Solution,
 ) -> None:
-    """Predict few cases, and write them into their rows of the result."""
+    """Predict a batch of cases, and write it into its rows of the result."""
     size = len(which)
     shift, inflow = cases
     given: tuple[Array, ...] = (
@@ -182,9 +178,9 @@ def _predict_batch(
         np.full((size, 1), grid.period),
     )
     sizes = tuple(a.shape[1] for a in given[:-1])
-    filled = _filled_up(np.concatenate(given, axis=1))
+    padded = _padded(np.concatenate(given, axis=1))
     with double_precision():
-        found = _couple(_on_device(parameters), filled, sizes, config)
+        found = _couple(_on_device(parameters), padded, sizes, config)
         numbers = np.asarray(found)[:size]
     signals = numbers[:, :-_SCALARS].reshape(size, 2, -1, grid.time.size)
     mean_pressure, reverses, settled = numbers[:, -_SCALARS:].T
@@ -196,7 +192,7 @@ def _predict_batch(
             "(mL/s, cm²); a stiffer wave or a longer vessel needs more passes "
             "(correction.passes)."
         )
-    # Modes of reversed flow, the last, are zero where there is none.
+    # The last modes are zero without reversed flow.
     if not reverses.any():
         signals = signals[:, :, :-REVERSED]
     _fields(signals, mean_pressure, vessels, which, *(v[rows] for v in result if v is not None))
@@ -213,7 +209,7 @@ def _fields(
 ) -> None:
     """Write the sums of products of functions of time and of z into (case, time, z).
 
-    A matrix product for each case: NumPy's writes its result at once where it belongs.
+    NumPy's matrix product, one per case, writes directly into the output.
     """
     of_flow, of_area = signals.transpose(1, 0, 3, 2)
     rows = signals.shape[2]
@@ -229,13 +225,13 @@ def _fields(
 
 @lru_cache(maxsize=16)
 def _on_device(parameters: ClosureParameters) -> tuple[jax.Array, ...]:
-    """Hand over what :func:`_couple` needs of one model's parameters, once."""
+    """Transfer the parameters that :func:`_couple` needs, once for each model."""
     with double_precision():
         return tuple(map(jnp.asarray, (parameters.outlet, parameters.wall, parameters.correction)))
 
 
-def _filled_up(cases: Array) -> Array:
-    """Repeat the last case up to one of two sizes, so that little is compiled."""
+def _padded(cases: Array) -> Array:
+    """Repeat the last case up to one of two sizes, to limit the number of compilations."""
     count = len(cases)
     size = 1 if count == 1 else _BATCH
     return np.concatenate([cases, np.repeat(cases[-1:], size - count, axis=0)])
@@ -243,7 +239,7 @@ def _filled_up(cases: Array) -> Array:
 
 @cache
 def _relevant(config: ClosureConfig) -> ClosureConfig:
-    """Keep the settings that the equations need: a change of others compiles nothing again."""
+    """Reset the settings that the equations ignore, so that they trigger no compilation."""
     correction = config.correction
     return ClosureConfig(
         physics=config.physics,
@@ -316,7 +312,7 @@ def _problem(
     fixed: tuple[Any, ...],
     config: ClosureConfig,
 ) -> Problem:
-    """Hand the data over once; compile once for each shape."""
+    """Transfer the data once; compile once for each shape."""
     with double_precision():
         on_device = jax.tree.map(jnp.asarray, (cases, fixed))
     settings = _relevant(config)
@@ -333,17 +329,14 @@ def _problem(
 
 @partial(jax.jit, static_argnums=(2, 3))
 def _couple(
-    vectors: tuple[jax.Array, ...],
-    given: jax.Array,
-    sizes: tuple[int, ...],
-    config: ClosureConfig,
+    vectors: tuple[jax.Array, ...], given: jax.Array, sizes: tuple[int, ...], config: ClosureConfig
 ) -> jax.Array:
     """Couple all cases, (case, number): signals of flow and area, then the scalars.
 
-    The scalars are the mean of P, whether some flow goes back, and whether the case settled.
-    Of each case are given, side by side: the vessel's modes at the outlet and their slopes,
-    the shift, the inflow, so many numbers as ``sizes`` says, and the period.  One array each
-    way: every other that JAX takes or hands back costs some 10 to 20 µs.
+    The scalars are the mean of P, whether flow reverses anywhere, and whether the case settled.
+    The input has a row for each case: the vessel's modes at the outlet and their slopes,
+    the shift and the inflow, with the lengths ``sizes``, and the period.  A single array in
+    each direction is used because every further array of a call costs 10 to 20 µs.
     """
     outlet, wall, correction = vectors
 

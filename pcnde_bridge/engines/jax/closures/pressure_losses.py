@@ -1,25 +1,24 @@
-r"""Pressure between a point and the outlet, from the momentum of the flow.
+r"""Pressure difference between a point and the outlet, from the momentum of the flow.
 
-The cross-section's momentum balance with a free jet behind every narrowing:
+The momentum balance of the cross-section, with a free jet behind every narrowing, is
 
     −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
 
-The area A_j(z) that carries the flow is S_u as long as the vessel narrows or widens
+The area A_j(z) that carries the flow is S_u where the vessel narrows or widens
 slowly.  Where it widens faster the flow separates, and the jet's radius grows by the
-spread s per length of the way (about 0.1 for a free turbulent jet) until it fills
+spread s per unit length (about 0.1 for a free turbulent jet) until it fills
 the vessel again:
 
     √(A_j(z)/π) = min over z' ≤ z of √(S_u(z')/π) + s·(z − z').
 
-For a sudden expansion this is Borda and Carnot's loss; the pressure drop that is not
-recovered has the form of Seeley and Young's turbulent term.  Nothing says where a
-stenosis is: S_u does, and there may be none, or several.  In a straight vessel
-A_j = S_u is constant and the third term is zero, and where the flow fills a vessel that
-narrows and widens again its sum is: what the flow takes to be faster it gives back.  For
-reversed flow the jet goes the other way.
+For a sudden expansion this is the Borda–Carnot loss; the pressure drop that is not
+recovered has the form of Seeley and Young's turbulent term.  The positions of stenoses follow
+from S_u; there may be none, or several.  In a straight vessel A_j = S_u is constant and the
+third term is zero.  Where the flow fills a vessel that narrows and widens again its integral is
+zero: the pressure is recovered.  For reversed flow the jet has the opposite direction.
 
-With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) what the wall stores of it
-(q − Q(L)) and ξ(z) the share of the storage before z, the pressure is a sum of few
+With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) = q − Q(L) the flow stored by the
+wall and ξ(z) the share of the storage before z, the pressure is a sum of a few
 products of a function of z and a function of t.
 """
 
@@ -31,22 +30,18 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import Physics
-from pcnde_bridge.engines.jax.closures.spectral import (
-    rate,
-    summed_from_inlet,
-    to_outlet,
-)
+from pcnde_bridge.engines.equations import rate
+from pcnde_bridge.engines.jax.closures.integrals import summed_from_inlet, to_outlet
 
 _Signals = tuple[jax.Array, ...]
 """Functions of time."""
 
-
 REVERSED = 3
-"""Modes, the last, that are zero unless some flow goes back."""
+"""Number of the last modes, which are zero without reversed flow."""
 
 
 class Coefficients(NamedTuple):
-    """Densities in z of the three terms.
+    """Coefficients of the three terms, per length.
 
     Attributes
     ----------
@@ -65,7 +60,7 @@ class Coefficients(NamedTuple):
 def coefficients(
     parameters: jax.Array, area_undeformed: jax.Array, z: jax.Array, physics: Physics
 ) -> Coefficients:
-    """Densities of the terms.
+    """Compute the coefficients of the three terms.
 
     Parameters
     ----------
@@ -80,7 +75,7 @@ def coefficients(
     """
     friction, inertia, convection, spread = parameters
     steps = jnp.diff(z)
-    # With this mean the pieces where A_j = S_u add up to the change of 1/(2·S_u²), exactly.
+    # With this mean the intervals with A_j = S_u add up to the change of 1/(2·S_u²) exactly.
     between = (1 / area_undeformed[1:] + 1 / area_undeformed[:-1]) / 2
 
     def jet(area: jax.Array, dz: jax.Array) -> jax.Array:
@@ -97,14 +92,14 @@ def coefficients(
 
 
 def jet_area(area_undeformed: jax.Array, steps: jax.Array, spread: jax.Array) -> jax.Array:
-    """A_j (z,), cm², of a flow in the direction of z; ``steps`` (z − 1,) in cm.
+    """Return A_j (z,), cm², of a flow in the direction of z; ``steps`` (z − 1,) in cm.
 
-    The recursion's solution: the smallest of all jets that could start upstream.
+    It is the smallest of all jets that could start upstream.
     """
     reach = spread * summed_from_inlet(steps)
     begins = jnp.sqrt(area_undeformed / jnp.pi) - reach
     narrowest = jax.lax.cummin(begins)
-    # Where the flow fills the vessel, exactly: a straight vessel has no jet at all.
+    # Exactly S_u where the flow fills the vessel: a straight vessel has no jet at all.
     return jnp.where(narrowest == begins, area_undeformed, jnp.pi * (reach + narrowest) ** 2)
 
 
@@ -116,20 +111,17 @@ def drop(
     period: jax.Array,
     physics: Physics,
 ) -> jax.Array:
-    """P − p(L), (time, z), of a flow Q (time, z) that is known everywhere."""
+    """Return p − p(L), (time, z), of a given flow Q (time, z)."""
     c = coefficients(parameters, area_undeformed, z, physics)
     middle = (flow[:, 1:] + flow[:, :-1]) / 2
     jets = jnp.where(middle > 0, c.jet, c.jet_back) * middle**2
     summed = summed_from_inlet(jets)
-    smooth = c.friction * flow + c.inertia * rate(flow.T, period).T
+    smooth = c.friction * flow + c.inertia * rate(flow.T, period, jnp).T
     return to_outlet(smooth, z) + summed[:, -1:] - summed
 
 
 def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array:
-    """Return the functions of z, (10, z), that belong to :func:`modes_in_time`.
-
-    ``share`` (z,) is ξ.
-    """
+    """Return the functions of z, (10, z), for :func:`modes_in_time`; ``share`` (z,) is ξ."""
     between = (share[1:] + share[:-1]) / 2
     smooth = (c.friction, -c.friction * share, c.inertia, -c.inertia * share)
     jets = tuple(
@@ -143,10 +135,10 @@ def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array
 def modes_in_time(inflow: _Signals, stored: _Signals) -> tuple[_Signals, _Signals]:
     """Return the functions of time, ten of (time,), and their rates.
 
-    They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow goes forward, then the
-    same where it goes back.  Its direction is that in the middle of the storage,
-    q − d/2: where it is not the same everywhere, the flow is nearly zero and the jet's
-    term with it.
+    They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow is forward, then the
+    same where it is reversed.  The direction is that of q − d/2, in the middle of the
+    storage: where directions differ along the vessel, the flow and the jet's term are nearly
+    zero.
 
     Parameters
     ----------
@@ -168,5 +160,5 @@ def modes_in_time(inflow: _Signals, stored: _Signals) -> tuple[_Signals, _Signal
 
 
 def goes_forward(flow: jax.Array, stored: jax.Array) -> jax.Array:
-    """Whether the flow in the middle of the storage, q − d/2, is not reversed."""
+    """Return whether the flow in the middle of the storage, q − d/2, is not reversed."""
     return flow - stored / 2 >= 0

@@ -1,8 +1,8 @@
-r"""How far the wall moves under a pressure: an elastic membrane, or a local tube law.
+r"""Displacement of the wall under a pressure: an elastic membrane, or a local tube law.
 
 **Membrane.**  The vessel is a thin shell of revolution with the generator r_u(z),
-clamped at both ends, that carries membrane and transverse shear forces, as the
-coupled momentum method (Figueroa et al. 2006) has it.  With the displacement
+clamped at both ends, that carries membrane and transverse shear forces, as in the
+coupled momentum method (Figueroa et al. 2006).  With the displacement
 (u_z, u_r), tangent t, normal n and arc length s of the generator, the strains are
 
     ε_s = t·∂u/∂s,    ε_θ = u_r/r_u,    γ = n·∂u/∂s,
@@ -12,14 +12,13 @@ and u makes the energy stationary:
     ½ K ∫ [ε_s² + ε_θ² + 2ν ε_s ε_θ + k γ² + f u_z²] r_u ds − ∫ (p − p₀) n·u r_u ds,
 
 with the stiffness K = E·h/(1 − ν²), dyn/cm, Poisson's ratio ν, the shear ratio k
-(5/12·(1 − ν) for a homogeneous wall) and an axial support f, 1/cm², by the tissue.
-Linear elements between the points of the grid, two Gauss points each; the block
-tridiagonal system is solved directly.  In a long straight part it is the linear
+(5/12·(1 − ν) for a homogeneous wall) and the axial support f of the tissue, 1/cm².
+There are linear elements between the points, with two Gauss points each; the block
+tridiagonal system is solved directly.  In a long straight part the result is the linear
 wall law, u_r = r_u²·(p − p₀)/K (for u_z = 0).
 
 **Local law.**  u_r = r_u·(r_u/r_0)^m·(p − p₀)/K, with r_0 the first point's radius
-and K in dyn/cm²: m = 0 is a wall whose E·h/r₀ is the same everywhere, m = 1 one
-whose E·h is.  Nothing holds its ends.
+and K in dyn/cm²: E·h/r₀ is constant for m = 0, and E·h for m = 1.  Its ends are free.
 
 Both are linear in the pressure; the area S = π(r_u + u_r)² is not.
 """
@@ -41,13 +40,13 @@ def displacement(
     z: jax.Array,
     law: Literal["membrane", "local", "auto"],
 ) -> jax.Array:
-    """Radial displacement under some loads.
+    """Return the radial displacement under some loads.
 
     Parameters
     ----------
     parameters : array of shape (5,) or (3,)
         Membrane: K (dyn/cm), ν, k, f (1/cm²), p₀; local: K (dyn/cm²), m, p₀.
-        p₀ belongs to the pressure, not to the loads.
+        p₀ is already part of the loads.
     loads : array of shape (load, z)
         p − p₀, dyn/cm².
     area_undeformed : array of shape (z,)
@@ -55,7 +54,7 @@ def displacement(
     z : array of shape (z,)
         Points, cm.
     law : {'membrane', 'local'}
-        Which of the two; 'auto' must have been decided before.
+        Wall law; 'auto' must have been decided before.
 
     Returns
     -------
@@ -84,7 +83,7 @@ def _membrane(
 def _elements(
     ratios: jax.Array, loads: jax.Array, radius: jax.Array, z: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Stiffness (element, 4, 4) over K and forces (element, 4, load) of the elements."""
+    """Return stiffness over K, (element, 4, 4), and forces, (element, 4, load)."""
     poisson, shear, support = ratios
     dz, dr = jnp.diff(z), jnp.diff(radius)
     length = jnp.hypot(dz, dr)
@@ -131,8 +130,8 @@ def _solve_block_tridiagonal(diagonal: jax.Array, above: jax.Array, right: jax.A
         d, up, low, b = row
         factor, solved = previous
         inverse = _inverse(d - low @ factor)
-        kept = inverse @ up, inverse @ (b - low @ solved)
-        return kept, kept
+        row_result = inverse @ up, inverse @ (b - low @ solved)
+        return row_result, row_result
 
     start = jnp.zeros((2, 2)), jnp.zeros(right.shape[1:])
     _, (factors, solved) = jax.lax.scan(eliminate, start, (diagonal, above, below, right))
@@ -144,7 +143,7 @@ def _solve_block_tridiagonal(diagonal: jax.Array, above: jax.Array, right: jax.A
         x = s - factor @ after
         return x, x
 
-    # The first row substituted is the last point's, whose neighbour is clamped.
+    # Substitution begins at the last point, whose neighbor is clamped.
     _, result = jax.lax.scan(substitute, start[1], (factors, solved), reverse=True)
     return result
 
