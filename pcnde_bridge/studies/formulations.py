@@ -1,8 +1,8 @@
-"""The momentum equation in space and in time, side by side (sections 2.3 and 3.1).
+"""Momentum equation in space and in time, compared (sections 2.3 and 3.1).
 
-In time every point has an equation of its own, and nothing but the training ties a point
-to its neighbours: Q can be accurate while ∂Q/∂z, and so the area from continuity, is not
-smooth.  In space Q is a smooth function of z by its equation.
+In time every point has its own equation, and only the training relates a point to its
+neighbors: Q can be accurate while ∂Q/∂z, and so the area from continuity, is not smooth.
+In space, the equation itself makes Q a smooth function of z.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("spatial", "temporal", "temporal_with_t
 
 @dataclass(frozen=True, eq=False)
 class FormulationResult:
-    """What one formulation gives for some cases.
+    """Flow and areas of one formulation for some cases.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class FormulationResult:
     slope : array of shape (case, time, z)
         ∂Q/∂z, mL/s/cm, by second-order differences.
     continuity_area : array of shape (case, time, z)
-        S, cm², from the 1D continuity equation alone: the last cycle, from S_u.
+        S, cm², from the 1D continuity equation alone, in the last cycle from S_u.
     area : array of shape (case, time, z)
-        S, cm², from the method's two area stages, fitted to this flow on the training cases.
+        S, cm², from the two area stages, fitted to this flow on the training cases.
     """
 
     flow: Array
@@ -69,15 +69,15 @@ class FormulationResult:
 
 @dataclass(frozen=True, eq=False)
 class FormulationStudy:
-    """The formulations' results on the training and the test cases.
+    """Results of the formulations on the training and test cases.
 
     Attributes
     ----------
     cases : mapping of str to Cases
-        ``"train"`` and, if given, ``"test"``: the truth.
+        The truth: ``"train"`` and, if given, ``"test"``.
     results : mapping of (str, str) to FormulationResult
-        For each formulation and set; ``("truth", set)`` holds the true flow, its slope, and
-        the areas that the same equations make of it.
+        Result for each formulation and subset; ``("truth", subset)`` holds the true flow,
+        its slope, and the areas that the same equations give for it.
     outcomes : mapping of str to str
         For each formulation ``"trained"``, or where it diverged.
     history : DataFrame
@@ -90,47 +90,45 @@ class FormulationStudy:
     history: pd.DataFrame
 
     def to_frame(self) -> pd.DataFrame:
-        """Errors and smoothness, one row for each formulation and set.
+        """Return errors and smoothness, a row for each formulation and subset.
 
         Returns
         -------
         DataFrame
-            ``*_error`` is ‖Y − Y_GT‖/‖Y_GT‖, of areas without their ends.
+            ``*_error`` is ‖Y − Y_GT‖/‖Y_GT‖, for areas without their ends.
             ``*_variation`` is the total variation along z, Σ|Y(z_{i+1}) − Y(z_i)|, over the
             truth's, of ∂Q/∂z and of S − S_u: 1 is as smooth as the 3D data, more is rougher.
         """
         rows = []
-        for (formulation, part), found in self.results.items():
-            truth = self.cases[part]
-            start = truth.area_undeformed[:, None]
-            true_slope = flow_slope(truth.flow, truth.z)
-            row: dict[str, Any] = {"formulation": formulation, "set": part}
-            row["flow_error"] = relative_error(found.flow, truth.flow)
-            row["slope_error"] = relative_error(found.slope, true_slope)
-            row["slope_variation"] = variation(found.slope) / variation(true_slope)
-            for name, area in (
-                ("continuity_area", found.continuity_area),
-                ("area", found.area),
-            ):
-                row[f"{name}_error"] = relative_error(
-                    compared("area", area), compared("area", truth.area)
-                )
-                row[f"{name}_variation"] = variation(compared("area", area - start)) / variation(
-                    compared("area", truth.area - start)
-                )
-            row["outcome"] = self.outcomes.get(formulation, "")
-            rows.append(row)
+        for (formulation, subset), found in self.results.items():
+            cases = self.cases[subset]
+            slope = flow_slope(cases.flow, cases.z)
+            row: dict[str, Any] = {
+                "formulation": formulation,
+                "set": subset,
+                "flow_error": relative_error(found.flow, cases.flow),
+                "slope_error": relative_error(found.slope, slope),
+                "slope_variation": variation(found.slope) / variation(slope),
+            }
+            truth, start = (
+                compared("area", area) for area in (cases.area, cases.area_undeformed[:, None])
+            )
+            for name in ("continuity_area", "area"):
+                area = compared("area", getattr(found, name))
+                row[f"{name}_error"] = relative_error(area, truth)
+                row[f"{name}_variation"] = variation(area - start) / variation(truth - start)
+            rows.append(row | {"outcome": self.outcomes.get(formulation, "")})
         return pd.DataFrame(rows)
 
 
 def flow_slope(flow: Array, z: Array) -> Array:
-    """∂Q/∂z, mL/s/cm, of Q (case, time, z) by second-order differences."""
+    """Return ∂Q/∂z, mL/s/cm, of Q (case, time, z) by second-order differences."""
     slope: Array = np.gradient(flow, z, axis=2, edge_order=2)
     return slope
 
 
 def variation(values: Array) -> float:
-    """Total variation along z, in the mean over cases and instants."""
+    """Return the total variation along z, averaged over cases and time points."""
     return float(np.abs(np.diff(values, axis=2)).sum(axis=2).mean())
 
 
@@ -144,36 +142,37 @@ def compare_formulations(
     seed: int = 0,
     progress: bool | Callable[[Iteration], None] = True,
 ) -> FormulationStudy:
-    """Train the momentum equation in space and in time, and compare what they give.
+    """Train the momentum equation in space and in time, and compare the results.
 
     All are trained on the same batches, by BFGS on the mean squared error of Q, without
-    coupling: the spatial one sees S = S_u.  The temporal ones start from the true flow at
-    the first instant.
+    coupling: the spatial one uses S = S_u.  The temporal ones start from the true flow at
+    the first time point.
 
     Parameters
     ----------
     train, test : Cases
-        Test cases are optional.
+        Training cases, and optionally test cases.
     formulations : tuple of {'spatial', 'temporal', 'temporal_with_time'}
-        Which to compare.
+        Formulations to compare.
     config : PCNDEConfig or str
         Networks, epochs and iterations: the groups ``flow`` and ``temporal_flow``.
     engine : {'auto', 'julia', 'jax'} or Engine
-        Who computes.
+        Compute engine.
     seed : int
-        Of the first weights and the batches.
+        Random seed for the initial weights and the batches.
     progress : bool or callable
-        Show progress, or call with every :class:`~pcnde_bridge.training.history.Iteration`.
+        Whether to show progress, or a function that is called with every
+        :class:`~pcnde_bridge.training.history.Iteration`.
 
     Returns
     -------
     FormulationStudy
-        A formulation that diverged has NaN for its results.
+        Results, which are NaN for a formulation that diverged.
 
     Raises
     ------
     InputError
-        If an argument is not usable, or the test cases are not on the training cases' grid.
+        If an argument is invalid, or the test cases are not on the training cases' grid.
     """
     unknown = set(formulations) - set(FORMULATIONS)
     if unknown:

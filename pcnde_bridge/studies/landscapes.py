@@ -1,12 +1,11 @@
-"""Loss landscapes of the momentum equation with physics terms beside its network.
+"""Loss landscapes of the momentum equation with physics terms in addition to its network.
 
-Section 3.6 of the paper: the network alone, and with one term each of
+Section 3.6 of the paper trains the network alone, and with one term each of
 
-    ∂Q/∂z = f_θ(Q, S) + N/(2(1+δ)) + ½ (Q/S) ∂S/∂z − (S/Q) ∂Q/∂t / (2(1+δ)),
+    ∂Q/∂z = f_θ(Q, S) + N/(2(1+δ)) + ½ (Q/S) ∂S/∂z − (S/Q) ∂Q/∂t / (2(1+δ)).
 
-is trained, and its loss drawn around the parameters θ on a grid θ + α₁v₁ + α₂v₂ along two
-random directions: after the first batch's BFGS iterations, and after the area was fitted and
-coupled back for the first time.
+The loss is evaluated around the parameters θ on a grid θ + α₁v₁ + α₂v₂ along two random
+directions: after the first batch's BFGS iterations, and after the first coupling of the area.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy.ndimage import minimum_filter
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import positive, whole
@@ -52,7 +52,7 @@ RIGHT_HAND_SIDES: Mapping[str, tuple[Term, ...]] = {
     "convection": ("convection",),
     "inertia": ("inertia",),
 }
-"""The paper's four: the network alone, and with one term each."""
+"""Right-hand sides of the paper: the network alone, and with one term each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,11 @@ class Landscape:
     moment : {'initial', 'coupled'}
         After the first batch's iterations, or after the first coupling of the area.
     amplitudes : array of shape (n,)
-        α₁ and α₂; the one in the middle is 0.
+        α₁ and α₂; the middle one is 0.
     losses : array of shape (n, n)
-        Loss at (α₁, α₂), mL²/s² in the mean; infinite where the equation diverges.
+        Mean loss at (α₁, α₂), mL²/s²; infinite where the equation diverges.
     area_error : float
-        Relative error of the area that the network sees.
+        Relative error of the area that the network uses.
     """
 
     right_hand_side: str
@@ -81,7 +81,7 @@ class Landscape:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Where the equation could not be integrated."""
+        """Where the equation could not be integrated, shape (n, n)."""
         return ~np.isfinite(self.losses)
 
     @property
@@ -92,25 +92,20 @@ class Landscape:
 
     @property
     def minima(self) -> int:
-        """Number of grid points inside that are lower than all eight around them."""
-        padded = np.where(self.diverged, np.inf, self.losses)
-        inside = padded[1:-1, 1:-1]
-        n = len(padded)
-        around = [
-            padded[1 + i : n - 1 + i, 1 + j : n - 1 + j]
-            for i in (-1, 0, 1)
-            for j in (-1, 0, 1)
-            if (i, j) != (0, 0)
-        ]
-        return int((np.isfinite(inside) & (inside < np.min(around, axis=0))).sum())
+        """Number of inner grid points with a lower loss than all eight neighbors."""
+        losses = np.where(self.diverged, np.inf, self.losses)
+        neighbors = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
+        lower = losses < minimum_filter(losses, footprint=neighbors)
+        return int(lower[1:-1, 1:-1].sum())
 
     @property
     def roughness(self) -> float:
-        """Part of the variation of log L that a cubic in (α₁, α₂) leaves, where L is finite.
+        """Fraction of the variation of log L that a cubic in (α₁, α₂) does not explain.
 
-        1 − R² of the least-squares fit: 0 is a smooth surface; NaN with too few points.
+        1 − R² of the least-squares fit where L is finite: 0 is a smooth surface; NaN with
+        too few points.
         """
-        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
+        first, second = self._grid
         scale = np.abs(self.amplitudes).max()
         finite = ~self.diverged & (self.losses > 0)
         values = np.log(self.losses[finite])
@@ -119,12 +114,16 @@ class Landscape:
             return float("nan")
         x, y = first[finite] / scale, second[finite] / scale
         matrix = np.stack([x**i * y**j for i, j in powers], axis=1)
-        left = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
-        return float((left @ left) / ((values - values.mean()) ** 2).sum())
+        residual = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
+        return float((residual @ residual) / ((values - values.mean()) ** 2).sum())
+
+    @property
+    def _grid(self) -> list[Array]:
+        return list(np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij"))
 
     def to_frame(self) -> pd.DataFrame:
-        """One row for each point: equation, moment, two amplitudes, loss, whether diverged."""
-        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
+        """Return a row for each point: equation, moment, amplitudes, loss and divergence."""
+        first, second = self._grid
         return pd.DataFrame(
             {
                 "right_hand_side": self.right_hand_side,
@@ -139,7 +138,7 @@ class Landscape:
 
 @dataclass(frozen=True, eq=False)
 class LandscapeStudy:
-    """Landscapes of several right-hand sides, and what became of their training.
+    """Landscapes of several right-hand sides, and the outcomes of their training.
 
     Attributes
     ----------
@@ -156,18 +155,18 @@ class LandscapeStudy:
     history: pd.DataFrame
 
     def landscape(self, right_hand_side: str, moment: Moment) -> Landscape | None:
-        """Return one of them; None where training did not come so far."""
+        """Return one landscape; None if training diverged before that moment."""
         for landscape in self.landscapes:
             if (landscape.right_hand_side, landscape.moment) == (right_hand_side, moment):
                 return landscape
         return None
 
     def to_frame(self) -> pd.DataFrame:
-        """All points of all landscapes; see :meth:`Landscape.to_frame`."""
+        """Return all points of all landscapes; see :meth:`Landscape.to_frame`."""
         return pd.concat([each.to_frame() for each in self.landscapes], ignore_index=True)
 
     def summary(self) -> pd.DataFrame:
-        """One row for each landscape: losses, minima, roughness, share diverged, outcome."""
+        """Return a row for each landscape: losses, minima, roughness, divergence, outcome."""
         rows = []
         for each in self.landscapes:
             finite = each.losses[~each.diverged]
@@ -176,7 +175,7 @@ class LandscapeStudy:
                     "right_hand_side": each.right_hand_side,
                     "moment": each.moment,
                     "center": each.center,
-                    "lowest": finite.min() if finite.size else np.inf,
+                    "lowest": finite.min(initial=np.inf),
                     "median": float(np.median(each.losses)),
                     "highest": finite.max() if finite.size else np.inf,
                     "minima": each.minima,
@@ -187,11 +186,6 @@ class LandscapeStudy:
                 }
             )
         return pd.DataFrame(rows)
-
-
-def random_directions(size: int, seed: int) -> Array:
-    """Two directions v₁ and v₂, (2, size), of independent standard normal numbers."""
-    return np.random.default_rng(seed).standard_normal((2, size))
 
 
 def loss_landscape(
@@ -206,22 +200,22 @@ def loss_landscape(
     points: int = 21,
     seed: int = 0,
 ) -> Array:
-    """Loss of the flow stage on a grid around its parameters.
+    """Evaluate the loss of the flow stage on a grid around its parameters.
 
     Parameters
     ----------
     engine : Engine
-        Computes all points at once.
+        Engine, which computes all points at once.
     parameters : array of shape (size,)
-        θ, in the middle.
+        θ in the middle of the grid.
     inputs, target, grid, config
-        Of the flow stage; see :class:`pcnde_bridge.engines.protocol.Stage`.
+        Arguments of the flow stage; see :class:`pcnde_bridge.engines.protocol.Stage`.
     amplitude : float
         Largest |α₁| and |α₂|.
     points : int
-        In each direction; odd, so that θ is one of them.
+        Number of points in each direction; odd, so that θ is one of them.
     seed : int
-        Of the directions.
+        Random seed for the directions v₁ and v₂, independent standard normal numbers.
 
     Returns
     -------
@@ -233,7 +227,7 @@ def loss_landscape(
     InputError
         If ``points`` is even or less than 3, or ``amplitude`` not positive.
     """
-    first, second = random_directions(parameters.size, seed)
+    first, second = np.random.default_rng(seed).standard_normal((2, parameters.size))
     along = amplitudes(amplitude, points)
     vectors = parameters + (along[:, None, None] * first + along[None, :, None] * second).reshape(
         -1, parameters.size
@@ -243,16 +237,18 @@ def loss_landscape(
 
 
 def amplitudes(largest: float, points: int) -> Array:
-    """Amplitudes from −largest to largest, 0 exactly in the middle.
+    """Return amplitudes from −largest to largest, with 0 exactly in the middle.
 
     Raises
     ------
     InputError
-        If ``points`` is even or less than 3, or ``largest`` no positive number.
+        If ``points`` is even or less than 3, or ``largest`` is not a positive number.
     """
     points = whole("points", points, 3)
     if points % 2 == 0:
-        raise InputError(f"points must be odd, so that 0 is among them; got {points}.")
+        raise InputError(
+            f"points must be odd, so that one of them is at amplitude 0; got {points}."
+        )
     largest = positive("amplitude", largest)
     half = points // 2
     return largest * np.arange(-half, half + 1) / half
@@ -269,11 +265,11 @@ def explore_landscapes(
     seed: int = 0,
     progress: bool | Callable[[Iteration], None] = True,
 ) -> LandscapeStudy:
-    """Train with each right-hand side, and draw its loss before and after the coupling.
+    """Train with each right-hand side, and evaluate its loss before and after the coupling.
 
     Training is that of :meth:`pcnde_bridge.PCNDE.fit` without the pressure, for all
-    ``config.flow.epochs``; where an equation diverges it ends, and ``outcomes`` says so.
-    The loss is that of the first batch, on which the first iterations are made.
+    ``config.flow.epochs``; it ends where an equation diverges, which ``outcomes`` reports.
+    The loss is that of the first batch, which the first iterations minimize.
 
     Parameters
     ----------
@@ -282,15 +278,16 @@ def explore_landscapes(
     right_hand_sides : mapping of str to tuple of str
         Names, and ``config.flow.terms`` of each.
     config : PCNDEConfig or str
-        Everything else.
+        All other settings.
     engine : {'auto', 'julia', 'jax'} or Engine
-        Who computes.
+        Compute engine.
     amplitude, points : float and int
         Grid of each landscape; see :func:`loss_landscape`.
     seed : int
-        Of the first parameters, the batches, and the directions.
+        Random seed for the initial parameters, the batches, and the directions.
     progress : bool or callable
-        Show progress, or call with every :class:`~pcnde_bridge.training.history.Iteration`.
+        Whether to show progress, or a function that is called with every
+        :class:`~pcnde_bridge.training.history.Iteration`.
 
     Returns
     -------
@@ -300,12 +297,12 @@ def explore_landscapes(
     Raises
     ------
     InputError
-        If an argument is not usable.
+        If an argument is invalid.
     """
     amplitudes(amplitude, points)
     config = resolve_pcnde_config(config)
     if config.training != "minibatch":
-        raise InputError("The landscapes are those of training='minibatch'; change the config.")
+        raise InputError("Loss landscapes need training='minibatch'; change the config.")
     if not right_hand_sides:
         raise InputError("right_hand_sides is empty: name at least one, such as 'network': ().")
     whole("seed", seed)
