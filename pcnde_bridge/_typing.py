@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -15,3 +16,6 @@ IntArray = npt.NDArray[np.int64]
 
 AnyArray = npt.NDArray[Any]
 """Array of numbers or text of any kind."""
+
+StrPath = str | os.PathLike[str]
+"""Path of a file or folder."""

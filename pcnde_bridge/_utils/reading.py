@@ -1,4 +1,4 @@
-"""The boundary around readers of files that may be foreign or damaged."""
+"""Boundaries around readers: errors of damaged files, and the file's name in messages."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pcnde_bridge._utils.files import check_file
-from pcnde_bridge.errors import FileError, PCNDEError
+from pcnde_bridge.errors import FileError, InputError, PCNDEError
 
 
 @contextlib.contextmanager
@@ -45,3 +45,23 @@ def reading(path: Path, what: str) -> Iterator[None]:
         raise FileError(
             f"Cannot read {path} as {what}: it is truncated, damaged or of another kind ({error})."
         ) from error
+
+
+@contextlib.contextmanager
+def naming(name: object) -> Iterator[None]:
+    """Put a name before the messages of input errors.
+
+    Parameters
+    ----------
+    name : str or Path
+        Name of the file whose content the block checks.
+
+    Raises
+    ------
+    InputError
+        If the block raises one: ``"name: message"``.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error

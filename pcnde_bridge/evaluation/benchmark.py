@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import statistics
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import write_json
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
@@ -136,7 +136,7 @@ def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[st
     return errors, 1e3 * statistics.median(seconds) / len(cases)
 
 
-def write_rows(path: str | os.PathLike[str], rows: Iterable[Row], **facts: Any) -> None:
+def write_rows(path: StrPath, rows: Iterable[Row], **facts: Any) -> None:
     """Write rows as JSON: ``{…facts, "pcnde_bridge": version, "rows": […]}``.
 
     Parameters

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pandas as pd
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import (
@@ -35,7 +34,7 @@ def cross_validate(
     *,
     executor: Workers | None = None,
     retries: int = 1,
-    folder: str | os.PathLike[str] | None = None,
+    folder: StrPath | None = None,
     progress: bool = True,
 ) -> pd.DataFrame:
     """Fit without each waveform and each geometry in turns, and predict it.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers, run
 from pcnde_bridge._utils.validation import whole_seeds
 from pcnde_bridge.config import (
@@ -37,7 +37,7 @@ def sweep(
     *,
     executor: Workers | None = None,
     retries: int = 1,
-    folder: str | os.PathLike[str] | None = None,
+    folder: StrPath | None = None,
     progress: bool = True,
 ) -> pd.DataFrame:
     """Fit every configuration with every seed, and list the errors.

@@ -8,7 +8,6 @@ interpolated unasked.
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
@@ -16,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from pcnde_bridge._typing import StrPath
+from pcnde_bridge._utils.reading import naming
 from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
@@ -32,7 +33,7 @@ from pcnde_bridge.io.vessel_results import VesselResults
 
 Flip = Literal["flow", "z"]
 
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+Paths = StrPath | Sequence[StrPath]
 """One path or several."""
 
 
@@ -105,11 +106,13 @@ def to_cases(
     known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(stated)
     vessels = []
     for given in results:
-        _check_arrays(given)
-        vessel = _flipped(in_cgs(given, stated), flip)
-        check_units(vessel, known | set(given.units))
-        _check_direction(vessel)
-        vessels.append(on_points(on_time_points(one_cycle(vessel, period), time_points), points))
+        with naming(given.name):
+            _check_arrays(given)
+            vessel = _flipped(in_cgs(given, stated), flip)
+            check_units(vessel, known | set(given.units))
+            _check_direction(vessel)
+            vessel = on_time_points(one_cycle(vessel, period), time_points)
+            vessels.append(on_points(vessel, points))
     first = vessels[0]
     if points is not None and np.ndim(points) == 0:
         vessels = [match_length(vessel, first) for vessel in vessels]
@@ -142,32 +145,21 @@ def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
 
 def _check_arrays(vessel: VesselResults) -> None:
     """Raise unless shapes agree and all values are possible."""
-    n_times, n_points = vessel.time.size, vessel.z.size
+    n_times, n_points = grid = vessel.time.size, vessel.z.size
     if n_times < 4 or n_points < 3:
-        raise InputError(
-            f"{vessel.name} has {n_times} time points and {n_points} points; at least 4 and 3 are "
-            "needed."
-        )
-    arrays = {**vessel.variables(), "area_undeformed": vessel.area_undeformed}
-    axes = {"time": vessel.time, "z": vessel.z}
-    try:
-        for name, array in arrays.items():
-            one_axis = name == "area_undeformed"
-            check_shape(
-                name,
-                array,
-                (n_points,) if one_axis else (n_times, n_points),
-                "z" if one_axis else "time, z",
-            )
-        for name, array in (arrays | axes).items():
-            check_finite(name, array)
-            if name.startswith("area"):
-                check_values(name, array, array <= 0, "areas must be positive")
-        for name, axis in axes.items():
-            rule = f"{name} must increase; sort the results and remove duplicates"
-            check_values(name, axis[1:], np.diff(axis) <= 0, rule, offset=1)
-    except InputError as error:
-        raise InputError(f"{vessel.name}: {error}.") from error
+        raise InputError(f"{n_times} time points and {n_points} points are fewer than 4 and 3.")
+    shapes = {**dict.fromkeys(VARIABLES, grid), "area_undeformed": (n_points,)}
+    for name, shape in shapes.items():
+        check_shape(name, getattr(vessel, name), shape)
+    for name in (*shapes, "time", "z"):
+        check_finite(name, getattr(vessel, name))
+    for name in ("area", "area_undeformed"):
+        array = getattr(vessel, name)
+        check_values(name, array, array <= 0, "areas must be positive")
+    for name in ("time", "z"):
+        axis = getattr(vessel, name)
+        rule = f"{name} must increase; sort the results and remove duplicates"
+        check_values(name, axis[1:], np.diff(axis) <= 0, rule, offset=1)
 
 
 def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
@@ -190,13 +182,12 @@ def _check_direction(vessel: VesselResults) -> None:
     small = 1e-3 * np.abs(vessel.flow).max()
     if inlet < -small:
         raise InputError(
-            f"{vessel.name}: the flow runs against z, its mean is {inlet:.4g} mL/s at the first "
-            "point. If flow out of the vessel counts as positive there, pass flip='flow' "
-            "(--flip flow); if the points run from the outlet to the inlet, flip='z' (--flip z)."
+            f"the flow runs against z, its mean is {inlet:.4g} mL/s at the first point. If flow "
+            "out of the vessel counts as positive there, pass flip='flow' (--flip flow); if the "
+            "points run from the outlet to the inlet, flip='z' (--flip z)."
         )
     if inlet > small and outlet < -small:
         raise InputError(
-            f"{vessel.name}: the mean flow is {inlet:.4g} mL/s at the first point and {outlet:.4g} "
-            "mL/s at the last: its sign changes along the vessel. Give flow along z the same "
-            "sign at all points."
+            f"the mean flow is {inlet:.4g} mL/s at the first point and {outlet:.4g} mL/s at the "
+            "last: its sign changes along the vessel. Give it the same sign at all points."
         )

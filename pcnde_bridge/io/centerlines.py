@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write, check_writable, make_folder
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge._version import __version__
@@ -25,7 +25,7 @@ LABEL_PREFIX = "labels/"
 _WRITER = "pcnde_bridge"  # name of the array that marks files of this package
 
 
-def write_vtp(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
+def write_vtp(prediction: Predicted, path: StrPath) -> list[Path]:
     """Write a prediction as centerlines with arrays for each time step.
 
     The vessel is a straight line along z.  :func:`pcnde_bridge.io.read_simvascular` reads
@@ -61,7 +61,7 @@ def write_vtp(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]
     return _write_all(contents, target.parent, earlier)
 
 
-def write_pvd(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
+def write_pvd(prediction: Predicted, path: StrPath) -> list[Path]:
     """Write a prediction as an animation for ParaView: one file for each time step.
 
     Parameters

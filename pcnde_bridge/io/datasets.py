@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.cache import cache_folder
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.published import read_authors_folder
@@ -58,7 +59,7 @@ def find_published() -> Path | None:
 
 
 def download_published(
-    cache: str | os.PathLike[str] | None = None,
+    cache: StrPath | None = None,
     progress: bool = True,
     *,
     base_url: str = PUBLISHED_URL,
@@ -127,7 +128,7 @@ def download_published(
     return folder
 
 
-def load_cases(data: str | os.PathLike[str] | Cases) -> Cases:
+def load_cases(data: StrPath | Cases) -> Cases:
     """Load a data set by name or path.
 
     Parameters

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._utils.files import as_paths
 from pcnde_bridge._utils.hdf5 import read_dataset
-from pcnde_bridge._utils.reading import reading
+from pcnde_bridge._utils.reading import naming, reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
@@ -68,9 +68,11 @@ def read_hdf5(
         if not isinstance(place, str):
             raise InputError(f"names[{name!r}] must be the path of a data set, got {place!r}.")
     stated = set(stated_units(options.get("units")))
-    return to_cases(
-        [vessel for path in as_paths(paths) for vessel in _read(path, places, stated)], **options
-    )
+    vessels: list[VesselResults] = []
+    for path in as_paths(paths):
+        with naming(path):
+            vessels += _read(path, places, stated)
+    return to_cases(vessels, **options)
 
 
 def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[VesselResults]:
@@ -91,10 +93,10 @@ def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[Vesse
                 labels[name] = values
     if absent := [name for name in NAMES if name not in arrays]:
         raise InputError(
-            f"{path} lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} "
-            f"(--names {absent[0]}=path)."
+            f"it lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} (--names "
+            f"{absent[0]}=path)."
         )
-    return _vessels(path, arrays, labels, _known_units(path, units, stated))
+    return _vessels(path, arrays, labels, _known_units(units, stated))
 
 
 def _text(attribute: Any) -> str:
@@ -103,7 +105,7 @@ def _text(attribute: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _known_units(path: Path, units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
+def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
     """Return the units in the file by quantity, except those that the caller states."""
     found: dict[str, str] = {}
     for name, text in units.items():
@@ -113,12 +115,12 @@ def _known_units(path: Path, units: Mapping[str, str], stated: set[str]) -> dict
             continue
         if unit not in FACTORS[quantity]:
             raise InputError(
-                f"{path}: {name} has the unknown unit {text!r}; known are "
-                f"{list(FACTORS[quantity])}. State the unit, units={{'{quantity}': …}} (--units "
-                f"{quantity}=…), or units='cgs' (--units cgs) if all are CGS units."
+                f"{name} has the unknown unit {text!r}; known are {list(FACTORS[quantity])}. State "
+                f"it, units={{'{quantity}': …}} (--units {quantity}=…), or units='cgs' (--units "
+                "cgs) if all are CGS units."
             )
         if found.setdefault(quantity, unit) != unit:
-            raise InputError(f"{path}: {name} is in {unit}, but there is also {found[quantity]}.")
+            raise InputError(f"{name} is in {unit}, but there is also {found[quantity]}.")
     return found
 
 
@@ -137,7 +139,7 @@ def _vessels(
     """Return the results of each case from the arrays of a file."""
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":
-            raise InputError(f"{path}: {name} holds {array.dtype}, not numbers.")
+            raise InputError(f"{name} holds {array.dtype}, not numbers.")
     fields = {name: arrays[name].astype(np.float64) for name in NAMES}
     for name, axes in _AXES.items():
         if axes[0] == "case" and fields[name].ndim == len(axes) - 1:
@@ -147,16 +149,15 @@ def _vessels(
         values = fields[name]
         if values.ndim != len(axes) or (axes[0] == "case" and len(values) != count):
             raise InputError(
-                f"{path}: {name} has the shape {arrays[name].shape}; it must be "
-                f"({', '.join(axes)}), with as many cases as flow. The axis of a single case can "
-                "be left out."
+                f"{name} has the shape {arrays[name].shape}; it must be ({', '.join(axes)}), with "
+                "as many cases as flow. The axis of a single case can be left out."
             )
     period = arrays.get("period")
     if period is not None and period.size != 1:
-        raise InputError(f"{path}: period must be one number, it has the shape {period.shape}.")
+        raise InputError(f"period must be one number, it has the shape {period.shape}.")
     for name, column in labels.items():
         if column.shape != (count,):
-            raise InputError(f"{path}: labels/{name} has the shape {column.shape}, not ({count},).")
+            raise InputError(f"labels/{name} has the shape {column.shape}, not ({count},).")
     return [
         VesselResults(
             f"{path}, case {i}" if count > 1 else str(path),

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.errors import InputError
@@ -19,7 +18,7 @@ from pcnde_bridge.io.tables import line_of, numbers, read_frame
 _SAME = 1e-6  # of a step, a range or an axis
 
 
-def _read(path: str | os.PathLike[str], axis: str) -> tuple[Array, pd.DataFrame]:
+def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     """Return the axis in the first column, and the columns of the cases."""
     frame = read_frame(path)
     if frame.shape[1] < 2 or frame.columns[0] != axis:
@@ -35,9 +34,7 @@ def _rows(columns: pd.DataFrame) -> Array:
     return np.ascontiguousarray(columns.to_numpy(dtype=np.float64).T)
 
 
-def read_cycle(
-    path: str | os.PathLike[str], start: float, usual_period: float
-) -> tuple[float, pd.DataFrame]:
+def read_cycle(path: StrPath, start: float, usual_period: float) -> tuple[float, pd.DataFrame]:
     """Read waveforms of one cycle at equally spaced time points, without its end point.
 
     Parameters
@@ -91,9 +88,7 @@ def read_cycle(
     return step * time.size, columns
 
 
-def read_columns(
-    path: str | os.PathLike[str], axis: str, expected: Array, unit: str
-) -> pd.DataFrame:
+def read_columns(path: StrPath, axis: str, expected: Array, unit: str) -> pd.DataFrame:
     """Read one column for each case on the grid of a model.
 
     Parameters
@@ -161,9 +156,7 @@ class CaseInputs:
         return labels.assign(name=[self.names[case] for case in labels["case"]])
 
 
-def read_inputs(
-    inflow: str | os.PathLike[str], area: str | os.PathLike[str], grid: Grid, *, any_grid: bool
-) -> CaseInputs:
+def read_inputs(inflow: StrPath, area: StrPath, grid: Grid, *, any_grid: bool) -> CaseInputs:
     """Read inflows and undeformed areas, and pair their columns.
 
     Columns are paired by name if both tables have the same names, and by position if no

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.errors import FileError, InputError
@@ -16,7 +16,7 @@ _DATA_SETS = (".npz", ".h5", ".hdf5")
 _CENTERLINES = {".vtp": write_vtp, ".pvd": write_pvd}
 
 
-def save(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
+def save(prediction: Predicted, path: StrPath) -> list[Path]:
     """Write a prediction in the format that the file's ending names.
 
     See :meth:`pcnde_bridge.Prediction.save` for the formats and errors.
@@ -31,7 +31,7 @@ def save(prediction: Predicted, path: str | os.PathLike[str]) -> list[Path]:
     return [Path(path)]
 
 
-def save_csv(parts: Iterable[Predicted], path: str | os.PathLike[str]) -> int:
+def save_csv(parts: Iterable[Predicted], path: StrPath) -> int:
     """Write the tables of several predictions into one file.
 
     Parameters
@@ -60,7 +60,7 @@ def save_csv(parts: Iterable[Predicted], path: str | os.PathLike[str]) -> int:
     return count
 
 
-def check_target(path: str | os.PathLike[str], has_pressure: bool) -> str:
+def check_target(path: StrPath, has_pressure: bool) -> str:
     """Raise if :meth:`pcnde_bridge.Prediction.save` cannot write a file; compute nothing.
 
     Parameters

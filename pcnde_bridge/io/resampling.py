@@ -49,15 +49,14 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     span, steps = float(np.ptp(time)), np.diff(time)
     tolerance = 1e-3 * float(steps.min())
     if span + float(steps.max()) < cycle - tolerance:
-        raise InputError(f"{vessel.name} covers {span:g} s, less than the period of {cycle:g} s.")
+        raise InputError(f"it covers {span:g} s, less than the period of {cycle:g} s.")
     taken = np.flatnonzero(time > time[-1] - cycle + tolerance)
     before = taken[0] - 1
     compared = before >= 0 and abs(time[-1] - cycle - time[before]) <= tolerance
     if compared and not _alike(vessel, before, -1, _CLOSED):
         raise InputError(
-            f"{vessel.name} is not periodic: one period of {cycle:g} s before its end it differs "
-            f"from the end by more than {_CLOSED:.0%} of the cycle's range. Give the right period, "
-            "or simulate more cycles."
+            f"it is not periodic: one period of {cycle:g} s before its end it differs from the end "
+            f"by more than {_CLOSED:.0%} of its range. Correct the period, or simulate more cycles."
         )
     phase = np.mod(time[taken], cycle)
     phase[cycle - phase <= tolerance] = 0.0
@@ -71,20 +70,18 @@ def _whole_recording(vessel: VesselResults) -> VesselResults:
     span, steps = float(np.ptp(time)), np.diff(time)
     if not _uniform(time):
         raise InputError(
-            f"{vessel.name}: the time steps are not equal, from {steps.min():g} to "
-            f"{steps.max():g} s: pass the period, and time_points= (--period, --time-points) to "
-            "resample."
+            f"the time steps differ, from {steps.min():g} to {steps.max():g} s: pass the period, "
+            "and time_points= (--period, --time-points) to resample."
         )
     if _alike(vessel, 0, -1, 1e-6) and np.ptp(inflow) > 0:
         raise InputError(
-            f"{vessel.name}: the last time point repeats the first, one period later. Pass "
+            "the last time point repeats the first, one period later. Pass "
             f"period={span:g} (--period {span:g}) to leave it out."
         )
     if abs(inflow[0] - inflow[-1]) > _JUMP * np.abs(np.diff(inflow)).max():
         raise InputError(
-            f"{vessel.name} is not one cycle: the flow at its inlet ends at {inflow[-1]:.4g} mL/s "
-            f"and begins at {inflow[0]:.4g} mL/s, which is not a step of a smooth waveform. Pass "
-            "the period (--period)."
+            f"it is not one cycle: the inflow ends at {inflow[-1]:.4g} mL/s and begins at "
+            f"{inflow[0]:.4g} mL/s, a gap in its waveform. Pass the period (--period)."
         )
     return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
 
@@ -124,8 +121,8 @@ def on_time_points(vessel: VesselResults, time_points: int | None) -> VesselResu
         return vessel
     if time_points is None:
         raise InputError(
-            f"{vessel.name}: its {time.size} time points are not equal steps of the period of "
-            f"{period:g} s: pass time_points= (--time-points), such as 100, to resample."
+            f"{time.size} time points are not equal steps of the period of {period:g} s: pass "
+            "time_points= (--time-points), such as 100, to resample."
         )
     equal = time[0] + period / time_points * np.arange(time_points)
     return vessel.change(lambda values: _periodic(time, values, period, time_points), time=equal)
@@ -173,8 +170,8 @@ def on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Vess
         slack = _SAME_LENGTH * np.ptp(vessel.z)
         if z.ndim != 1 or z.min() < first - slack or z.max() > last + slack:
             raise InputError(
-                f"{vessel.name} reaches from z = {first:g} to {last:g} cm; points must be a list "
-                "of numbers in this range."
+                f"points must be a list of numbers from {first:g} to {last:g} cm, the ends of the "
+                "vessel."
             )
     inside = np.clip(z, first, last)
 
@@ -212,6 +209,6 @@ def check_same_grid(first: VesselResults, other: VesselResults) -> None:
     assert other.period is not None
     if not math.isclose(first.period, other.period, rel_tol=_SAME):
         raise InputError(
-            f"The cycle of {first.name} takes {first.period:g} s, that of {other.name} "
-            f"{other.period:g} s; a data set has one period."
+            f"{first.name} has the period {first.period:g} s, {other.name} {other.period:g} s: "
+            "a data set has one period."
         )

@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -21,13 +20,14 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.files import as_paths
+from pcnde_bridge._utils.reading import naming
 from pcnde_bridge._utils.validation import positive
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
 from pcnde_bridge.io.centerlines import LABEL_PREFIX
 from pcnde_bridge.io.vessel_results import VesselResults
-from pcnde_bridge.io.vtp import read_lines
+from pcnde_bridge.io.vtp import Lines, read_lines
 
 _STEP = re.compile(r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)")
 _UNDEFORMED = ("area_undeformed", "CenterlineSectionArea", "area")
@@ -77,58 +77,55 @@ def read_simvascular(
     InputError
         If arrays are missing, or units, flow or time steps are ambiguous.
     """
-    return to_cases(
-        [
-            _Centerline(path).results(time_step=time_step, branch=branch, rigid=rigid)
-            for path in as_paths(paths)
-        ],
-        **options,
-    )
+    vessels = []
+    for path in as_paths(paths):
+        with naming(path):
+            centerline = _Centerline(read_lines(path), branch)
+            vessels.append(centerline.results(str(path), time_step, rigid))
+    return to_cases(vessels, **options)
 
 
 class _Centerline:
-    """Content of a centerline file, and the selection of one vessel from it."""
+    """One vessel of a centerline file."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._points, self._lines, self._arrays, self._facts = read_lines(path)
+    def __init__(self, lines: Lines, branch: int | None) -> None:
+        self._points, self._lines, self._arrays, self._facts = lines
         self._has_path = "Path" in self._arrays and self._arrays["Path"].ndim == 1
+        self._chosen = self._ordered_points(branch)
 
-    def results(self, *, time_step: float | None, branch: int | None, rigid: bool) -> VesselResults:
+    def results(self, name: str, time_step: float | None, rigid: bool) -> VesselResults:
         """Return the results of the vessel, in the order of time and from its inlet on."""
-        chosen = self._ordered_points(branch)
         names = self._names_by_step()
         steps = sorted(names["pressure"], key=float)
-        times = self._times(steps, time_step)
         fields: dict[str, Any] = {
-            name: np.array([self._scalar(named[step])[chosen] for step in steps])
-            for name, named in names.items()
+            variable: np.array([self._values(named[step]) for step in steps])
+            for variable, named in names.items()
         }
-        undeformed = next((name for name in _UNDEFORMED if name in self._arrays), None)
+        undeformed = next((array for array in _UNDEFORMED if array in self._arrays), None)
         if undeformed is None:
             raise InputError(
-                f"{self._path} has no undeformed area: it needs the array CenterlineSectionArea "
-                "or area_undeformed (cm²)."
+                "it has no undeformed area: it needs the array CenterlineSectionArea or "
+                "area_undeformed (cm²)."
             )
-        area_undeformed = self._scalar(undeformed)[chosen]
+        area_undeformed = self._values(undeformed)
         if "area" not in fields:
             if not rigid:
                 raise InputError(
-                    f"{self._path} has no area for each time step (area_…). If the walls were "
-                    f"rigid, pass rigid=True (--rigid): then {undeformed} is used at all times."
+                    "it has no area for each time step (area_…). If the walls were rigid, pass "
+                    f"rigid=True (--rigid): then {undeformed} is used at all times."
                 )
             fields["area"] = np.broadcast_to(area_undeformed, fields["flow"].shape)
         period = self._facts.get("period")
         return VesselResults(
-            str(self._path),
+            name,
             **fields,
             area_undeformed=area_undeformed,
-            time=times,
-            z=self._distance(chosen),
+            time=_times(steps, time_step),
+            z=self._distance(),
             labels={
-                name.removeprefix(LABEL_PREFIX): value
-                for name, value in self._facts.items()
-                if name.startswith(LABEL_PREFIX)
+                fact.removeprefix(LABEL_PREFIX): value
+                for fact, value in self._facts.items()
+                if fact.startswith(LABEL_PREFIX)
             },
             period=None if isinstance(period, str) else period,
         )
@@ -137,47 +134,33 @@ class _Centerline:
         """Return the points of the vessel, from its inlet on."""
         if "BranchId" not in self._arrays:
             if branch is not None:
-                raise InputError(f"{self._path} has no array BranchId: leave branch out.")
+                raise InputError("it has no array BranchId: leave branch out.")
             found = _along(self._lines, np.arange(len(self._points)))
             if found is None:
                 raise InputError(
-                    f"{self._path} has no array BranchId, and its points are not one line from an "
-                    "inlet to an outlet. Extract the centerline of one vessel, or one with "
-                    "BranchId."
+                    "it has no array BranchId, and its points are not one line from an inlet to an "
+                    "outlet. Extract the centerline of one vessel, or one with BranchId."
                 )
             return found
         ids = self._scalar("BranchId")
-        chosen = np.flatnonzero(ids == self._chosen_branch(ids, branch))
+        chosen = np.flatnonzero(ids == _chosen_branch(ids, branch))
         if self._has_path:
             return chosen[np.argsort(self._arrays["Path"][chosen], kind="stable")]
         found = _along(self._lines, chosen)
         if found is None:
             raise InputError(
-                f"{self._path} has no array Path, and no line that runs once through all points of "
-                f"branch {int(ids[chosen[0]])}: their order along the vessel is not known. Export "
-                "the centerline with Path, as svSlicer writes it, or with its lines."
+                "it has no array Path, and no line that runs once through all points of branch "
+                f"{int(ids[chosen[0]])}: their order along the vessel is unknown. Export the "
+                "centerline with Path, as svSlicer writes it, or with its lines."
             )
         return found
 
-    def _chosen_branch(self, ids: Array, branch: int | None) -> int:
-        branches = sorted({int(i) for i in ids if i >= 0})
-        if branch is None:
-            if len(branches) != 1:
-                raise InputError(
-                    f"{self._path} has the branches {branches}: choose one, branch= (--branch), "
-                    "and convert each vessel by itself."
-                )
-            return branches[0]
-        if branch not in branches:
-            raise InputError(f"{self._path} has no branch {branch!r}; its branches are {branches}.")
-        return branch
-
-    def _distance(self, chosen: _Positions) -> Array:
+    def _distance(self) -> Array:
         """Return the distance of the points from the first one."""
         if self._has_path:
-            along = self._arrays["Path"][chosen]
+            along = self._values("Path")
             return np.asarray(along - along[:1])
-        steps = np.linalg.norm(np.diff(self._points[chosen], axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(self._points[self._chosen], axis=0), axis=1)
         return np.append(0.0, np.cumsum(steps))
 
     def _names_by_step(self) -> dict[str, dict[str, str]]:
@@ -191,46 +174,64 @@ class _Centerline:
         for name in ("pressure", "flow"):
             if not found.get(name):
                 raise InputError(
-                    f"{self._path} has no arrays {name}_<time step>"
-                    f"{' or velocity_…' * (name == 'flow')}; it has {sorted(self._arrays)[:10]}. "
-                    "Give averaged results on a centerline, as svSlicer writes them."
+                    f"it has no arrays {name}_<time step>{' or velocity_…' * (name == 'flow')}; "
+                    f"it has {sorted(self._arrays)[:10]}. Give averaged results on a centerline, "
+                    "as svSlicer writes them."
                 )
         every = set[str]().union(*found.values())
         complete = every.intersection(*found.values())
         for name, steps in found.items():
             if missing := sorted(every.difference(steps)):
                 raise InputError(
-                    f"{self._path} has no {name}_{missing[0]} ({len(missing)} time steps lack "
-                    f"{name}, {len(complete)} are complete)."
+                    f"it has no {name}_{missing[0]} ({len(missing)} time steps lack {name}, "
+                    f"{len(complete)} are complete)."
                 )
         return found
 
-    def _times(self, steps: Sequence[str], time_step: float | None) -> Array:
-        """Return the times of the steps, s."""
-        numbers = np.array([float(step) for step in steps])
-        if not all(step.isdigit() for step in steps):
-            if time_step is not None:
-                raise InputError(
-                    f"{self._path} names its arrays by time, such as pressure_{steps[0]}: leave "
-                    "time_step out."
-                )
-            return numbers
-        if time_step is None:
-            raise InputError(
-                f"{self._path} names its arrays by time step, such as pressure_{steps[0]}: pass "
-                "the simulation's time step, time_step= (--time-step), in s."
-            )
-        return numbers * positive("time_step", time_step, "s")
+    def _values(self, name: str) -> Array:
+        """Return an array at the points of the vessel."""
+        return self._scalar(name)[self._chosen]
 
     def _scalar(self, name: str) -> Array:
         """Return an array of one number at each point."""
         array = self._arrays[name]
         if array.ndim != 1:
             raise InputError(
-                f"{self._path}: {name} has {array.shape[1]} numbers at each point, but averages "
-                "over cross-sections are one number: for a flow, not a velocity vector."
+                f"{name} has {array.shape[1]} numbers at each point, but an average over the "
+                "cross-section is one number: a flow, not a velocity."
             )
         return array
+
+
+def _chosen_branch(ids: Array, branch: int | None) -> int:
+    """Return the number of the branch asked for, or of the only one."""
+    branches = sorted({int(i) for i in ids if i >= 0})
+    if branch is None and len(branches) != 1:
+        raise InputError(
+            f"it has the branches {branches}: choose one, branch= (--branch), and convert each "
+            "vessel by itself."
+        )
+    if branch is not None and branch not in branches:
+        raise InputError(f"it has no branch {branch!r}; its branches are {branches}.")
+    return branches[0] if branch is None else branch
+
+
+def _times(steps: Sequence[str], time_step: float | None) -> Array:
+    """Return the times of the steps, s."""
+    numbers = np.array([float(step) for step in steps])
+    by_number = all(step.isdigit() for step in steps)
+    if by_number and time_step is None:
+        raise InputError(
+            f"its arrays are named by time step, such as pressure_{steps[0]}: pass the "
+            "simulation's time step, time_step= (--time-step), in s."
+        )
+    if by_number:
+        return numbers * positive("time_step", time_step, "s")
+    if time_step is not None:
+        raise InputError(
+            f"its arrays are named by time, such as pressure_{steps[0]}: leave time_step out."
+        )
+    return numbers
 
 
 def _along(lines: Sequence[IntArray], chosen: _Positions) -> _Positions | None:

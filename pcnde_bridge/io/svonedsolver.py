@@ -185,7 +185,7 @@ def _read_table(path: Path, nodes: int) -> Array:
         )
     with reading(path, "a table of numbers"):
         rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
-        table = np.array([[float(word) for word in row] for row in rows if row])
+        table = np.array([row for row in rows if row], dtype=np.float64)
     if table.ndim != 2 or len(table) != nodes:
         raise FileError(
             f"{path} has {len(table)} rows, but the input file gives its segment {nodes} nodes: it "

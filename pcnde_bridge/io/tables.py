@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import itertools
-import os
 import re
 import zlib
 from collections.abc import Collection, Iterable, Sequence
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge.errors import FileError, InputError
 
 # Before version 3.1 pandas rounds one number in six to a neighbor by default; from then on the
@@ -30,7 +29,7 @@ _MISSING = ("", "NA", "N/A", "#N/A", "n/a", "<NA>", "NaN", "nan", "-nan", "NULL"
 """Text that stands for an unknown number, as in :func:`pandas.read_csv`."""
 
 
-def read_frame(path: str | os.PathLike[str], **options: Any) -> pd.DataFrame:
+def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
     """Read a CSV file by :func:`pandas.read_csv`, with all digits of its numbers.
 
     Parameters
@@ -60,7 +59,7 @@ def read_frame(path: str | os.PathLike[str], **options: Any) -> pd.DataFrame:
     return frame
 
 
-def _advice(path: str | os.PathLike[str]) -> str:
+def _advice(path: StrPath) -> str:
     """Return advice on a file that cannot be read, if its first line gives a reason."""
     if not Path(path).is_file():
         return ""
@@ -81,7 +80,7 @@ def _separated(header: str) -> str:
     return ""
 
 
-def numbers(path: str | os.PathLike[str], column: pd.Series[Any]) -> Array:
+def numbers(path: StrPath, column: pd.Series[Any]) -> Array:
     """Return a column of a table as numbers.
 
     Parameters
@@ -103,7 +102,7 @@ def numbers(path: str | os.PathLike[str], column: pd.Series[Any]) -> Array:
     return values
 
 
-def line_of(path: str | os.PathLike[str], row: int) -> int:
+def line_of(path: StrPath, row: int) -> int:
     """Return the line in a CSV file of a row of its table, for messages.
 
     Parameters
@@ -128,7 +127,7 @@ def line_of(path: str | os.PathLike[str], row: int) -> int:
 
 
 def read_labeled(
-    paths: Iterable[str | os.PathLike[str]], numeric: Collection[str], **options: Any
+    paths: Iterable[StrPath], numeric: Collection[str], **options: Any
 ) -> list[pd.DataFrame]:
     """Read CSV files with columns of numbers and columns of labels.
 
@@ -196,9 +195,7 @@ def _parsed(text: str) -> bool | int | float | None:
     return float(text)
 
 
-def read_labels(
-    path: str | os.PathLike[str], files: Sequence[str | os.PathLike[str]]
-) -> pd.DataFrame:
+def read_labels(path: StrPath, files: Sequence[StrPath]) -> pd.DataFrame:
     """Read the labels of files from a CSV table.
 
     Parameters

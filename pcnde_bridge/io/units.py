@@ -129,9 +129,8 @@ def check_units(vessel: VesselResults, stated: set[str]) -> None:
             doubts.append(f"the median area is {ratio:.3g} times the undeformed one")
     if found := [doubt for doubt in doubts if doubt]:
         raise InputError(
-            f"{vessel.name} does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): "
-            + "; ".join(found)
-            + ". State the units, or units='cgs' (--units cgs) if they are."
+            f"this does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {'; '.join(found)}. "
+            "State the units, or units='cgs' (--units cgs) if they are."
         )
 
 
