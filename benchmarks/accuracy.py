@@ -84,7 +84,7 @@ def simpler(data: str, how: str, seed: int) -> dict[str, dict[str, dict[str, flo
     """Errors of the methods to compare with."""
     sets = split_of(load_cases(data), how, seed)
     found = {}
-    methods: dict[str, Any] = {"nothing happens": Unchanged(), "1D solver": Solver1D(FEM_WALL)}
+    methods: dict[str, Any] = {"no change": Unchanged(), "1D solver": Solver1D(FEM_WALL)}
     for name, method in methods.items():
         method.fit(sets.train)
         found[name] = {

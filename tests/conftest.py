@@ -167,6 +167,23 @@ def run_pcnde(monkeypatch, capsys):
     return run
 
 
+@pytest.fixture
+def commands(small_cases, config, engine, tmp_path, monkeypatch, run_pcnde):
+    """Run ``pcnde`` in this process, with the fixtures ``config`` and ``engine`` of the file."""
+    from pcnde_bridge.cli import train
+    from pcnde_bridge.model import fit_task, pcnde
+
+    for module in (fit_task, pcnde):
+        monkeypatch.setattr(module, "select_engine", lambda *_, **__: engine)
+    monkeypatch.setattr(train, "processes", lambda workers: None)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(engine.flow, "fits", [])
+    small_cases.save("cases.npz")
+    (tmp_path / "config.json").write_text(config.to_json())
+    options = ("--split", "none", "--config", "config.json")
+    return lambda name, *more: run_pcnde(name, "cases.npz", *options, *more)
+
+
 class _Dying:
     def __del__(self):
         signal.raise_signal(signal.SIGINT)

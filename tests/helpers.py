@@ -192,3 +192,33 @@ class ToyEngine:
 def same_bits(a, b):
     """Return whether two data sets or predictions have the same values, bit for bit."""
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in VARIABLES)
+
+
+class FailingEngine:
+    """Toy engine whose fits of the flow fail, by their number."""
+
+    def __new__(cls, counts):
+        engine = ToyEngine()
+        fit = engine.flow.fit
+
+        def failing(parameters, inputs, *args):
+            if len(engine.flow.fits) in counts:
+                engine.flow.fits.append(None)
+                raise OSError("lost")
+            return fit(parameters, inputs, *args)
+
+        engine.flow.fit = failing
+        return engine
+
+
+def interrupt_at(engine, monkeypatch, number):
+    """Raise KeyboardInterrupt in the given fit of the flow."""
+    fit = engine.flow.fit
+
+    def interrupted(*args):
+        if len(engine.flow.fits) == number:
+            engine.flow.fits.append(None)
+            raise KeyboardInterrupt
+        return fit(*args)
+
+    monkeypatch.setattr(engine.flow, "fit", interrupted)

@@ -1,4 +1,4 @@
-"""Ensembles, cross-validation and sweeps, with fits that need no compiling."""
+"""Ensembles, and what a file tells, with fits that need no compiling."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import FailingEngine, ToyEngine, interrupt_at
 
 from pcnde_bridge import (
     PCNDE,
@@ -16,17 +17,12 @@ from pcnde_bridge import (
     InputError,
     OutsideTrainingWarning,
     PCNDEWarning,
-    SolveError,
     TaskError,
-    cross_validate,
     load_model,
-    sweep,
 )
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import processes, run
-from pcnde_bridge.data.splits import each_waveform_and_geometry
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.model.describe import describe, lines
 from pcnde_bridge.model.fit_task import (
     FitTask,
@@ -41,8 +37,6 @@ NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressu
 
 @pytest.fixture(scope="module")
 def engine():
-    from helpers import ToyEngine
-
     return ToyEngine()
 
 
@@ -168,25 +162,6 @@ def test_the_jax_engine_gives_the_same_bits_in_another_process(
     assert there.provenance["cases_labels"] == small_model.provenance["cases_labels"]
 
 
-class FailingEngine:
-    """Fails for some cases; ``reduce`` because it travels."""
-
-    def __new__(cls, counts):
-        from helpers import ToyEngine
-
-        engine = ToyEngine()
-        fit = engine.flow.fit
-
-        def failing(parameters, inputs, *args):
-            if len(engine.flow.fits) in counts:
-                engine.flow.fits.append(None)
-                raise OSError("lost")
-            return fit(parameters, inputs, *args)
-
-        engine.flow.fit = failing
-        return engine
-
-
 def test_failed_fits_are_left_out_and_told(small_cases, config):
     fit = {"members": 3, "folds": 2, "progress": False, "retries": 0}
     with pytest.warns(PCNDEWarning, match=r"1 of 11 tasks failed \(member 0: OSError: lost"):
@@ -265,91 +240,6 @@ def test_arguments_of_an_ensemble(small_cases, config, engine):
         Ensemble.fit([1], config, engine)
 
 
-# ---- cross-validation and sweeps -------------------------------------------------------
-
-
-def test_parts_are_whole_waveforms_and_geometries(small_cases):
-    found = each_waveform_and_geometry(small_cases)
-    assert list(found) == [("waveform", k) for k in range(4)] + [("geometry", k) for k in (1, 2, 3)]
-    for (label, value), positions in found.items():
-        chosen = small_cases.labels[label] == value
-        assert positions.tolist() == np.flatnonzero(chosen).tolist()
-    with pytest.raises(InputError, match="nothing can be held out"):
-        each_waveform_and_geometry(small_cases.select([0]))
-
-
-def test_cross_validation(small_cases, config, engine, tmp_path):
-    table = cross_validate(small_cases, config, engine, 3, folder=tmp_path, progress=False)
-    assert table.index.names == ["label", "value"]
-    assert table["cases"].tolist() == [3] * 4 + [4] * 3
-    assert table["failure"].isna().all()
-    held = small_cases.select(waveform=[2])
-    rest = small_cases.select(waveform=[0, 1, 3])
-    model = PCNDE.fit(rest, config, engine, 3, progress=False)
-    row = table.loc[("waveform", 2)]
-    errors = model.evaluate(held).iloc[-1], model.evaluate(rest).iloc[-1]
-    assert row[NUMBERS].tolist() == [*errors[0], *errors[1]]
-    parallel = cross_validate(small_cases, config, engine, 3, executor=processes(2), progress=False)
-    assert parallel[NUMBERS].equals(table[NUMBERS])
-    again = cross_validate(
-        small_cases, config, engine, np.int64(3), folder=tmp_path, progress=False
-    )
-    pd.testing.assert_frame_equal(again, table)
-    with pytest.raises(InputError, match="seed must be a whole number ≥ 0, got -1"):
-        cross_validate(small_cases, config, engine, -1)
-
-
-def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
-    engine = FailingEngine({0})
-    table = cross_validate(small_cases, config, engine, retries=0, progress=False)
-    assert table["failure"].iloc[0] == "OSError: lost"
-    assert table[NUMBERS].iloc[0].isna().all()
-    assert table["failure"].iloc[1:].isna().all()
-    assert table[NUMBERS].iloc[1:].notna().all(axis=None)
-
-
-def test_tables_have_their_columns_whatever_fails(small_cases, config, engine):
-    broken = FailingEngine(set(range(99)))
-    lost = cross_validate(small_cases, config, broken, retries=0, progress=False)
-    assert lost["failure"].notna().all()
-    assert lost[NUMBERS].isna().all(axis=None)
-    assert lost[["seconds", "cases"]].notna().any().tolist() == [False, True]
-    found = cross_validate(small_cases, config, engine, progress=False)
-    assert list(lost) == list(found)
-    assert lost.dtypes[:-1].equals(found.dtypes[:-1])
-    lost = sweep(small_cases, None, {"a": config}, (0, 1), broken, retries=0, progress=False)
-    found = sweep(small_cases, None, {"a": config}, (0, 1), engine, progress=False)
-    assert list(lost) == list(found)
-    assert "train_flow" in found
-    assert "flow" not in found
-
-
-def test_a_sweep(small_cases, other_period, config, engine):
-    train, held = small_cases.select(waveform=[0, 1, 3]), small_cases.select(waveform=[2])
-    configs = {"plain": config, "longer": config.replace(flow={"iterations": 5})}
-    table = sweep(train, held, configs, (0, 4), engine, progress=False)
-    assert list(table.index) == [(name, k) for name in configs for k in (0, 4)]
-    model = PCNDE.fit(train, configs["longer"], engine, 4, progress=False)
-    assert table.loc[("longer", 4), NUMBERS[:3]].tolist() == model.evaluate(held).iloc[-1].tolist()
-    assert table["flow"].nunique() == 4
-    alone = sweep(train, None, {"plain": config}, (0,), engine, progress=False)
-    assert "flow" not in alone
-    assert alone["train_flow"].iloc[0] == table["train_flow"].iloc[0]
-    with pytest.raises(InputError, match="at least one configuration"):
-        sweep(train, held, {}, (0,), engine)
-    with pytest.raises(InputError, match=r"none twice; got \[0, 0, 1\]"):
-        sweep(train, held, configs, [0, 0, 1], engine)
-    # Before anything is fitted.
-    for arguments, message in (
-        ((train, other_period, configs), r"bring the cases to the model's grid \(train.time\)"),
-        ((None, held, configs), "needs Cases as train, got NoneType"),
-        ((train, held.flow, configs), "needs Cases as held_out, got ndarray"),
-        ((train, held, "fast"), "needs a mapping of names"),
-    ):
-        with pytest.raises(InputError, match=message):
-            sweep(*arguments, (0,), FailingEngine(set()))
-
-
 # ---- what a file tells -----------------------------------------------------------------
 
 
@@ -416,37 +306,6 @@ def test_info_of_a_data_set(small_cases, tmp_path, run_pcnde, name):
     assert "truncated" in err
 
 
-@pytest.fixture
-def commands(small_cases, config, engine, tmp_path, monkeypatch, run_pcnde):
-    """Run the command line with an engine that compiles nothing, in this process."""
-    from pcnde_bridge._utils import parallel as tasks
-    from pcnde_bridge.model import fit_task as fits
-    from pcnde_bridge.model import pcnde as model
-
-    for module in (fits, model):
-        monkeypatch.setattr(module, "select_engine", lambda *_, **__: engine)
-    monkeypatch.setattr(tasks, "processes", lambda workers: None)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(engine.flow, "fits", [])
-    small_cases.save("cases.npz")
-    (tmp_path / "config.json").write_text(config.to_json())
-    options = ("--split", "none", "--config", "config.json")
-    return lambda name, *more: run_pcnde(name, "cases.npz", *options, *more)
-
-
-def interrupt_at(engine, monkeypatch, number):
-    """Have Ctrl-C come in the given fit of the flow."""
-    fit = engine.flow.fit
-
-    def interrupted(*args):
-        if len(engine.flow.fits) == number:
-            engine.flow.fits.append(None)
-            raise KeyboardInterrupt
-        return fit(*args)
-
-    monkeypatch.setattr(engine.flow, "fit", interrupted)
-
-
 def test_an_ensemble_on_the_command_line(
     commands, small_cases, config, engine, run_pcnde, tmp_path, monkeypatch
 ):
@@ -496,51 +355,3 @@ def test_options_of_fit_that_do_not_go_together(commands):
         code, _, err = commands("fit", "--out", "m.npz", *more)
         assert code == 2
         assert message in err
-
-
-def test_cross_validation_on_the_command_line(commands, small_cases, config, engine):
-    code, printed, _ = commands("cross-validate", "--csv", "table.csv", "--folder", "kept")
-    assert code == 0
-    table = cross_validate(small_cases, config, engine, progress=False)
-    assert f"{table.loc[('geometry', 2), 'pressure']:.4f}" in printed
-    assert "mean, waveform" in printed
-    written = read_frame("table.csv", index_col=["label", "value"])
-    np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
-
-
-def test_a_cross_validation_that_is_interrupted_names_its_folder(commands, engine, monkeypatch):
-    interrupt_at(engine, monkeypatch, 8)
-    code, _, err = commands("cross-validate", "--folder", "kept")
-    assert code == 130
-    assert "The finished fits are in kept: run the same command again" in err
-    code, printed, _ = commands("cross-validate", "--folder", "kept")
-    assert code == 0
-    assert "mean, geometry" in printed
-
-
-def test_a_cross_validation_without_any_result_is_a_failure(commands, engine, monkeypatch):
-    def lost(*args):
-        raise SolveError("It diverges.")
-
-    monkeypatch.setattr(engine.flow, "fit", lost)
-    code, printed, err = commands("cross-validate")
-    assert code == 1
-    assert "geometry 2: It diverges." in printed
-    assert "All fits failed" in err
-
-
-def test_bench_continues_its_training(commands, engine, tmp_path, monkeypatch):
-    from pcnde_bridge.evaluation import baselines
-
-    monkeypatch.setattr(baselines, "standard_baselines", dict)
-    interrupt_at(engine, monkeypatch, 4)
-    code, _, err = commands("bench")
-    assert code == 130
-    (state,) = tmp_path.glob("bench-*.checkpoint")
-    assert state.name in err
-    assert describe(state)["finished"] > 0
-    code, printed, err = commands("bench", "--json", "rows.json")
-    assert code == 0
-    assert f"Continuing from {state.name}" in err
-    assert "PCNDE (toy)" in printed
-    assert list(tmp_path.glob("bench-*")) == []

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import permutations
 from numbers import Real
 from typing import Any, TypeVar
@@ -198,6 +199,26 @@ def _axes_hint(name: str, found: tuple[int, ...], shape: tuple[int, ...], axes: 
             back = tuple(order.index(axis) for axis in range(len(shape)))
             return f"; that looks like ({named}): pass np.transpose({name}, {back})"
     return ""
+
+
+@contextlib.contextmanager
+def naming(name: object) -> Iterator[None]:
+    """Put a name before the messages of input errors.
+
+    Parameters
+    ----------
+    name : str or Path
+        Name of the file whose content the block checks.
+
+    Raises
+    ------
+    InputError
+        If the block raises one: ``"name: message"``.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
 
 
 def all_of(kind: type[_T], name: str, values: Iterable[Any]) -> tuple[_T, ...]:

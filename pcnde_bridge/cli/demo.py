@@ -72,7 +72,7 @@ class Demo:
     model : PCNDE
         The fitted model.
     errors : dict
-        Relative errors by method (``"PCNDE"``, ``"nothing happens"``), set
+        Relative errors by method (``"PCNDE"``, ``"no change"``), set
         (train, test) and variable, pooled.
     seconds : float
         Time of this run.
@@ -210,7 +210,7 @@ def _evaluate(
     }
     errors = {
         "PCNDE": {name: pooled(table) for name, table in tables.items()},
-        "nothing happens": {
+        "no change": {
             name: pooled_errors(unchanged.predict(cases), cases) for name, cases in sets.items()
         },
     }

@@ -1,6 +1,6 @@
-"""How good a model is: cross-validation, sweeps over settings, baselines and benchmarks.
+"""Evaluation of complete models: cross-validation, sweeps, baselines and benchmarks.
 
-Every function fits or evaluates complete models and returns tables.
+Its functions fit and predict as a user does, and return tables of errors and times.
 """
 
 from pcnde_bridge.evaluation.baselines import (

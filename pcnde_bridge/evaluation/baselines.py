@@ -1,7 +1,7 @@
-"""What a model must beat: three baselines of one small protocol.
+"""Baselines that a model must beat.
 
-* :class:`Unchanged`: nothing happens along the vessel.
-* :class:`Solver1D`: the one-dimensional solver, which learns the outlet alone.
+* :class:`Unchanged`: no change along the vessel.
+* :class:`Solver1D`: the 1D solver, of which only the outlet is fitted.
 * :class:`ResponseSurface`: polynomials in principal components of the inputs.
 
 Units are CGS; arrays are (case, time, z).
@@ -10,8 +10,8 @@ Units are CGS; arrays are (case, time, z).
 from __future__ import annotations
 
 from itertools import combinations_with_replacement
-from math import comb
-from typing import Protocol, TypeVar
+from math import ceil, comb
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -25,33 +25,33 @@ from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.tube_laws import PAPER_REFERENCE_PRESSURE, LinearWall
 
-_Learnt = TypeVar("_Learnt")
+_Fitted = TypeVar("_Fitted")
 
 FEM_WALL = LinearWall(0.75 * 1.5e7, reference_pressure=PAPER_REFERENCE_PRESSURE)
-"""Wall that the paper's column "1D FEM" was computed with, as far as we can tell.
+"""Wall of the paper's column "1D FEM", as far as it can be inferred.
 
-svOneDSolver's linear wall takes 4/3·E·h/r₀ as one number.  With the paper's
-E·h/r₀ in its place, that is three quarters of Young's modulus, our solver gives
-0.0208, 0.0491 and 0.0360 for that column's 0.0204, 0.0498 and 0.0365; with the wall
-as the paper prints it, 0.0351, 0.0502 and 0.0607.
+The linear wall of svOneDSolver takes 4/3·E·h/r₀ as one number.  With the paper's E·h/r₀
+in its place, which is three quarters of Young's modulus, the 1D solver here gives 0.0208,
+0.0491 and 0.0360 for the column's 0.0204, 0.0498 and 0.0365; with the wall as the paper
+prints it, 0.0351, 0.0502 and 0.0607.
 """
 
 
 class Baseline(Protocol):
-    """Anything that learns from cases and predicts others from their inputs."""
+    """Method that is fitted on cases and predicts others from their inputs."""
 
     def fit(self, train: Cases) -> Baseline:
-        """Learn from the training cases; return itself.
+        """Fit the method on training cases, and return it.
 
         Raises
         ------
         InputError
-            If the cases do not suit the method.
+            If the method is not applicable to the cases.
         """
         ...
 
     def predict(self, cases: Cases) -> dict[str, Array]:
-        """Predict from inflow and undeformed area, of the cases nothing else.
+        """Predict cases from their inflow and undeformed area alone.
 
         Returns
         -------
@@ -61,94 +61,92 @@ class Baseline(Protocol):
         Raises
         ------
         InputError
-            If it has not been fitted, or the cases do not suit.
+            If the method has not been fitted, or is not applicable to the cases.
         """
         ...
 
 
-class Unchanged:
-    """Nothing happens along the vessel: Q = Q_in, S = S_u and p = R·Q_in.
-
-    R is the outlet's resistance, fitted on the training cases (least squares).
-    """
+class _WithOutlet:
+    """Baseline whose only fitted parameter is the resistance of the outlet."""
 
     def __init__(self) -> None:
         self._resistance: float | None = None
 
-    def fit(self, train: Cases) -> Unchanged:
-        """Fit R on the outlets of the training cases; see :class:`Baseline`."""
+    def fit(self, train: Cases) -> Self:
+        """Fit the resistance by least squares on the outlets; see :class:`Baseline`."""
         self._resistance = outlet_resistance(train)
         return self
 
+
+class Unchanged(_WithOutlet):
+    """No change along the vessel: Q = Q_in, S = S_u and p = R·Q_in.
+
+    The resistance R of the outlet is fitted on the training cases by least squares.
+    """
+
     def predict(self, cases: Cases) -> dict[str, Array]:
-        """Predict the inlet's flow and the undeformed area; see :class:`Baseline`."""
+        """Predict the inflow and the undeformed area; see :class:`Baseline`."""
         resistance = _fitted(self._resistance)
         flow = np.repeat(cases.inflow[:, :, None], cases.n_points, axis=2)
         area = np.repeat(cases.area_undeformed[:, None, :], cases.n_times, axis=1)
         return {"flow": flow, "area": area, "pressure": resistance * flow}
 
 
-class Solver1D:
-    """The one-dimensional solver with a resistance outlet, fitted on the training cases.
+class Solver1D(_WithOutlet):
+    """One-dimensional solver with a resistance outlet that is fitted on the training cases.
 
     Parameters
     ----------
     wall : LinearWall, optional
-        By default the paper's artery, undeformed at the data's own zero of
-        pressure.  ``LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)`` is
-        the wall law as the paper prints it, :data:`FEM_WALL` the wall behind its
-        column "1D FEM".
+        Tube law.  By default the paper's artery, undeformed at the pressure zero of the
+        data.  ``LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)`` is the law as
+        the paper prints it, :data:`FEM_WALL` that of its column "1D FEM".
     stenosis_length : float
-        L_s of the pressure drop in the stenosis, cm; its throat is where
-        :meth:`~pcnde_bridge.hemodynamics.solver.Tube1D.solve_like` finds it.  The points must be no
-        more than a quarter of it apart.
+        Length L_s of the stenosis in the pressure drop, cm.  The points must be at most a
+        quarter of it apart.  The throat is located by
+        :meth:`~pcnde_bridge.hemodynamics.solver.Tube1D.solve_like`.
     """
 
     def __init__(self, wall: LinearWall | None = None, stenosis_length: float = 0.5) -> None:
+        super().__init__()
         self._wall = LinearWall() if wall is None else wall
         self._stenosis_length = stenosis_length
-        self._resistance: float | None = None
-
-    def fit(self, train: Cases) -> Solver1D:
-        """Fit R on the outlets of the training cases; see :class:`Baseline`."""
-        self._resistance = outlet_resistance(train)
-        return self
 
     def predict(self, cases: Cases) -> dict[str, Array]:
-        """Solve the cases, all in one batch; see :class:`Baseline`.
+        """Solve all cases in one batch; see :class:`Baseline`.
 
         Raises
         ------
         InputError
-            If it has not been fitted, or the cases do not suit the solver: their
-            points must be equally spaced and their cycle start at 0.
+            If the baseline has not been fitted, or the solver is not applicable: points
+            must be equally spaced and the cycle must start at 0.
         SolveError
             If a case diverges.
         """
         outlet = Windkessel(_fitted(self._resistance))
-        # As many steps per cycle as the solver's default, a multiple of the instants.
-        steps = cases.n_times * max(5, -(-Tube1D.steps // cases.n_times))
+        # As many steps per cycle as the solver's default, a multiple of the time points.
+        steps = cases.n_times * max(5, ceil(Tube1D.steps / cases.n_times))
         tube = Tube1D(wall=self._wall, n_times=cases.n_times, steps=steps)
         solved = tube.solve_like(cases, outlet, stenosis_length=self._stenosis_length)
         return {name: getattr(solved, name) for name in VARIABLES}
 
 
 class ResponseSurface:
-    """A polynomial for every grid value, in principal components of the inputs.
+    """Polynomial for each value on the grid, in principal components of the inputs.
 
-    The inputs are the inflow waveform and the undeformed area.  Each is described
-    by the scores of its principal components (by SVD of the training cases), and
-    each of the outputs, flow, area and pressure at every instant and point, is a
-    polynomial in the scores, fitted by least squares.
+    The inputs are the inflow waveform and the undeformed area.  Each is described by the
+    scores of its principal components (SVD of the training cases).  Flow, area and
+    pressure at each time point and point are polynomials in the scores, fitted by least
+    squares.
 
     Parameters
     ----------
     waveform_degree, geometry_degree : int
-        Total degree in the scores of the waveform and in those of the area; the
-        terms are all products of the one with the other.
+        Total degree in the scores of the waveform and of the area; the terms are all
+        products of a term of one with a term of the other.
     waveform_components, geometry_components : int, optional
-        Number of scores of each; by default as many as hold 99 % of the variance
-        in the training cases.  The paper's data need one of each.
+        Number of scores of each input; by default as many as explain 99 % of the variance
+        of the training cases.  The published data need one of each.
 
     Raises
     ------
@@ -182,13 +180,14 @@ class ResponseSurface:
         Raises
         ------
         InputError
-            If there are fewer cases than coefficients, or too few different
-            waveforms or geometries for the degree.
+            If there are fewer cases than coefficients, or too few different waveforms or
+            geometries for the degree.
         """
         inputs = (train.inflow, train.area_undeformed)
-        axes = tuple(
+        waveform, geometry = (
             _Axis(*arguments) for arguments in zip(inputs, self._degrees, self._wanted, strict=True)
         )
+        axes = waveform, geometry
         n_terms = axes[0].n_terms * axes[1].n_terms
         if n_terms > len(train):
             raise InputError(
@@ -202,17 +201,17 @@ class ResponseSurface:
                     f"The training cases have {count} different {name}, too few for "
                     f"{axis.n_terms} terms in them; use a smaller degree or fewer components."
                 )
-        self._axes, self._grid = (axes[0], axes[1]), train.grid
-        features = _products(self._axes, inputs)
+        features = _products(axes, inputs)
         if np.linalg.matrix_rank(features) < n_terms:
             raise InputError(
                 "The training cases combine too few waveforms with too few geometries for a "
                 "polynomial in both; use smaller degrees."
             )
         inverse = np.linalg.pinv(features)
-        for name in VARIABLES:
-            values = getattr(train, name)
-            self._coefficients[name] = np.tensordot(inverse, values, axes=1)
+        self._axes, self._grid = axes, train.grid
+        self._coefficients = {
+            name: np.tensordot(inverse, getattr(train, name), axes=1) for name in VARIABLES
+        }
         return self
 
     def predict(self, cases: Cases) -> dict[str, Array]:
@@ -221,7 +220,7 @@ class ResponseSurface:
         Raises
         ------
         InputError
-            If it has not been fitted, or the cases have another grid.
+            If the baseline has not been fitted, or the cases have another grid.
         """
         axes = _fitted(self._axes)
         check_grid(_fitted(self._grid), cases.grid, "train")
@@ -233,16 +232,16 @@ class ResponseSurface:
 
 
 class _Axis:
-    """Principal components of one input, and the polynomial terms in their scores."""
+    """Principal components of one input, and polynomial terms in their scores."""
 
     def __init__(self, values: Array, degree: int, components: int | None) -> None:
         self._mean = values.mean(axis=0)
         _, sizes, directions = np.linalg.svd(values - self._mean, full_matrices=False)
-        # Differences within round-off are none.
+        # Differences within round-off do not count.
         varies = int(np.count_nonzero(sizes > 1e-10 * np.linalg.norm(values)))
         if components is None:
-            held = np.cumsum(sizes[:varies] ** 2) / np.sum(sizes[:varies] ** 2)
-            components = int(np.searchsorted(held, 0.99)) + 1 if varies else 0
+            explained = np.cumsum(sizes[:varies] ** 2) / np.sum(sizes[:varies] ** 2)
+            components = int(np.searchsorted(explained, 0.99)) + 1 if varies else 0
         self._directions = directions[: min(components, varies)]
         scores = (values - self._mean) @ self._directions.T
         # Scores of about 1 keep the least squares well conditioned.
@@ -251,7 +250,7 @@ class _Axis:
         self.n_terms = comb(len(self._directions) + degree, degree)
 
     def features(self, values: Array) -> Array:
-        """All monomials of total degree ≤ ``degree`` in the scores, (case, n_terms)."""
+        """Return all monomials of the scores up to the total degree, (case, n_terms)."""
         scores = (values - self._mean) @ self._directions.T / self._size
         columns = [
             np.prod(scores[:, list(which)], axis=1)
@@ -262,26 +261,26 @@ class _Axis:
 
 
 def _products(axes: tuple[_Axis, _Axis], inputs: tuple[Array, Array]) -> Array:
-    """Every term of the one axis times every term of the other, (case, terms)."""
+    """Return each term of one axis times each term of the other, (case, terms)."""
     first, second = (axis.features(values) for axis, values in zip(axes, inputs, strict=True))
     return (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
 
 
-def _fitted(value: _Learnt | None) -> _Learnt:
+def _fitted(value: _Fitted | None) -> _Fitted:
     if value is None:
         raise InputError("The baseline has not been fitted; call fit(train) first.")
     return value
 
 
 def standard_baselines() -> dict[str, Baseline]:
-    """All baselines of ``pcnde bench`` with their defaults, unfitted, by their names.
+    """Return the baselines of ``pcnde bench`` by name, unfitted and with default settings.
 
-    They are :class:`Unchanged`; :class:`Solver1D` with the data's own zero of
-    pressure, with the paper's reference pressure of 100 mmHg, and with
-    :data:`FEM_WALL`; and :class:`ResponseSurface` of degrees 3 and 3.
+    They are :class:`Unchanged`; :class:`Solver1D` with the pressure zero of the data, with
+    the paper's reference pressure of 100 mmHg, and with :data:`FEM_WALL`; and
+    :class:`ResponseSurface` of degrees 3 and 3.
     """
     return {
-        "nothing happens": Unchanged(),
+        "no change": Unchanged(),
         "1D solver": Solver1D(),
         "1D, 100 mmHg": Solver1D(LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)),
         "1D, as paper": Solver1D(FEM_WALL),

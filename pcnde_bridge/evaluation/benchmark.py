@@ -1,4 +1,4 @@
-"""Model and baselines side by side: errors, and the times of fitting and predicting."""
+"""Benchmark of a model and baselines: errors, and times of fitting and predicting."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import hashlib
 import json
 import statistics
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from pcnde_bridge._typing import StrPath
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import write_json
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
@@ -27,21 +27,21 @@ _REPEATS, _ENOUGH_SECONDS = 5, 1.0
 
 @dataclass(frozen=True)
 class Row:
-    """One method's results.
+    """Results of one method.
 
     Attributes
     ----------
     name : str
-        Of the method.
+        Name of the method.
     errors : dict
-        By set (train, test), then by variable: relative errors, pooled.
+        Pooled relative errors by set (train, test), then by variable.
     fit_seconds : float or None
-        Time of fitting; of a model that was loaded, the time its training took.
+        Time of the fit, s; for a loaded model, the time of its training.
     predict_ms_per_case : float or None
-        Time of predicting the test cases (else the training cases) in one call,
-        compiled before, over their number: the median of up to five calls.
+        Time of one prediction of the test cases (else the training cases) per case, ms,
+        after compilation: the median of up to five calls.
     reason : str or None
-        Why the method could not be applied; then there are no numbers.
+        Reason why the method is not applicable; then there are no numbers.
     """
 
     name: str
@@ -54,18 +54,18 @@ class Row:
 def checkpoint_name(
     train: Cases, config: PCNDEConfig | ClosureConfig, engine: str, seed: int
 ) -> str:
-    """Name the checkpoint of a model by what is trained, so that it is never another run's.
+    """Return the name of a checkpoint that is unique to the cases, settings and seed.
 
     Parameters
     ----------
     train : Cases
-        The training cases.
+        Training cases.
     config : PCNDEConfig or ClosureConfig
         Settings.
     engine : str
-        As it was asked for: ``auto``, ``julia`` or ``jax``.
+        Engine as requested: ``auto``, ``julia`` or ``jax``.
     seed : int
-        Of the fit.
+        Random seed of the fit.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def checkpoint_name(
 
 
 def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
-    """Errors and times of a fitted model.
+    """Return the errors and times of a fitted model.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
     Raises
     ------
     InputError
-        If the cases' grid is not the model's.
+        If the grid of the cases is not that of the model.
     """
     errors, taken = _measure(lambda cases: predict(model, cases).variables(), sets)
     seconds = model.provenance.get("seconds")
@@ -99,17 +99,17 @@ def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
 
 
 def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> Row:
-    """Fit a baseline on the training cases, and measure it.
+    """Fit a baseline on the training cases, and return its errors and times.
 
-    A baseline that does not suit the cases gives a row without numbers that holds
-    the reason.
+    A baseline that is not applicable to the cases gives a row with the reason and without
+    numbers.
 
     Parameters
     ----------
     name : str
-        For the table.
+        Name in the table.
     baseline : Baseline
-        Unfitted.
+        Unfitted baseline.
     sets : mapping of str to Cases
         ``train``, and ``test`` if there is one.
     """
@@ -123,8 +123,10 @@ def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> 
     return Row(name, errors, fit_seconds, taken)
 
 
-def _measure(predict: Any, sets: Mapping[str, Cases]) -> tuple[dict[str, dict[str, float]], float]:
-    """Pooled errors of every set, and milliseconds per case of the last."""
+def _measure(
+    predict: Callable[[Cases], dict[str, Array]], sets: Mapping[str, Cases]
+) -> tuple[dict[str, dict[str, float]], float]:
+    """Return pooled errors of every set, and milliseconds per case of the last."""
     with warnings_only():
         errors = {name: pooled_errors(predict(cases), cases) for name, cases in sets.items()}
         cases = list(sets.values())[-1]
@@ -144,9 +146,9 @@ def write_rows(path: StrPath, rows: Iterable[Row], **facts: Any) -> None:
     path : path-like
         File to write, atomically.
     rows : iterable of Row
-        Each becomes an object with the attributes of :class:`Row`.
+        Rows; each becomes an object with the attributes of :class:`Row`.
     **facts
-        What else to keep, such as the data's name.
+        Further content, such as the name of the data set.
 
     Raises
     ------

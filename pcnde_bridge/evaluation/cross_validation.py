@@ -1,4 +1,4 @@
-"""Cross-validation inside the training cases: whole waveforms and whole geometries held out."""
+"""Cross-validation of the training cases by whole waveforms and whole geometries."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers, run
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import (
-    ClosureConfig,
-    PCNDEConfig,
-    resolve_config,
-)
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import each_waveform_and_geometry
 from pcnde_bridge.engines import EngineName
@@ -37,30 +33,29 @@ def cross_validate(
     folder: StrPath | None = None,
     progress: bool = True,
 ) -> pd.DataFrame:
-    """Fit without each waveform and each geometry in turns, and predict it.
+    """Fit without each waveform and each geometry in turn, and evaluate on it.
 
     Parameters
     ----------
     cases : Cases
-        The training cases.  Choose settings by these errors, so that those on the test
-        cases stay a test.
+        Training cases.  Settings chosen by these errors leave the test cases independent.
     config, engine, seed
-        As of :meth:`pcnde_bridge.PCNDE.fit`.
+        As in :meth:`pcnde_bridge.PCNDE.fit`.
     executor, retries, folder, progress
-        As of :func:`pcnde_bridge._utils.parallel.run`.
+        As in :func:`pcnde_bridge._utils.parallel.run`.
 
     Returns
     -------
     DataFrame
-        Indexed by ``label`` (waveform or geometry) and ``value``; columns ``cases``
-        (held out), the relative errors ``flow``, ``area`` and ``pressure`` of these,
-        ``train_flow`` and so on, ``seconds`` of the fit, and ``failure``, why there are no
-        numbers, else None.
+        Indexed by ``label`` (waveform or geometry) and ``value``.  Columns: ``cases``, the
+        number of cases held out; their relative errors ``flow``, ``area`` and
+        ``pressure``; those of the training cases, ``train_flow`` and so on; ``seconds`` of
+        the fit; ``failure``, the reason for missing numbers, else None.
 
     Raises
     ------
     InputError
-        If nothing can be held out, or an argument is not usable.
+        If no waveform or geometry can be held out, or an argument is not usable.
 
     Examples
     --------
@@ -71,18 +66,13 @@ def cross_validate(
     seed = whole("seed", seed)
     settings = resolve_config(config)
     engine = same_everywhere(engine)
-    chosen = each_waveform_and_geometry(cases)
-    everything = np.arange(len(cases))
-    tasks = {
-        f"{label} {value}": FitTask(
-            cases.select(np.setdiff1d(everything, positions)),
-            settings,
-            engine,
-            seed,
-            cases.select(positions),
+    folds = each_waveform_and_geometry(cases)
+    tasks = {}
+    for (label, value), positions in folds.items():
+        rest = np.setdiff1d(np.arange(len(cases)), positions)
+        tasks[f"{label} {value}"] = FitTask(
+            cases.select(rest), settings, engine, seed, cases.select(positions)
         )
-        for (label, value), positions in chosen.items()
-    }
     outcome = run(
         fit_and_score,
         tasks,
@@ -92,7 +82,6 @@ def cross_validate(
         facts={**common_facts("cross-validation", cases, settings, engine), "seed": seed},
         progress=progress,
     )
-    index = pd.MultiIndex.from_tuples(list(chosen), names=["label", "value"])
-    table = score_table(tasks, outcome, index)
-    table.insert(0, "cases", [len(positions) for positions in chosen.values()])
+    table = score_table(tasks, outcome, pd.MultiIndex.from_tuples(folds, names=["label", "value"]))
+    table.insert(0, "cases", [len(positions) for positions in folds.values()])
     return table

@@ -1,4 +1,4 @@
-"""Sweeps: the same cases fitted with several settings and seeds."""
+"""Sweeps over settings and random seeds on the same cases."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers, run
 from pcnde_bridge._utils.validation import whole_seeds
-from pcnde_bridge.config import (
-    ClosureConfig,
-    PCNDEConfig,
-    resolve_config,
-)
+from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
@@ -40,34 +36,34 @@ def sweep(
     folder: StrPath | None = None,
     progress: bool = True,
 ) -> pd.DataFrame:
-    """Fit every configuration with every seed, and list the errors.
+    """Fit every configuration with every seed, and return the errors.
 
     Parameters
     ----------
     train : Cases
-        To be fitted.
+        Training cases.
     held_out : Cases or None
-        To be predicted.
+        Further cases to evaluate.
     configs : mapping of str to PCNDEConfig, ClosureConfig or str
-        Settings, or presets' names, by names of your own.
+        Settings, or names of presets, by any names.
     seeds : sequence of int
-        Of the fits.
+        Random seeds of the fits.
     engine
-        As of :meth:`pcnde_bridge.PCNDE.fit`.
+        As in :meth:`pcnde_bridge.PCNDE.fit`.
     executor, retries, folder, progress
-        As of :func:`pcnde_bridge._utils.parallel.run`.
+        As in :func:`pcnde_bridge._utils.parallel.run`.
 
     Returns
     -------
     DataFrame
-        Indexed by ``config`` and ``seed``; columns as of
+        Indexed by ``config`` and ``seed``; columns as in
         :func:`pcnde_bridge.cross_validate`, without ``cases``.
 
     Raises
     ------
     InputError
-        If there is nothing to fit, a seed comes twice, a preset is unknown, or a model
-        of these settings could not predict on the grid of ``held_out``.
+        If there is nothing to fit, a seed is repeated, a preset is unknown, or a model
+        with these settings cannot predict on the grid of ``held_out``.
 
     Examples
     --------

@@ -16,8 +16,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.reading import naming
-from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, whole
+from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError

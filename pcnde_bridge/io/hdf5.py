@@ -10,9 +10,9 @@ from typing import Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._utils.files import as_paths
+from pcnde_bridge._utils.files import as_paths, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
-from pcnde_bridge._utils.reading import naming, reading
+from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError

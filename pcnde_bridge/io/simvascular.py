@@ -20,8 +20,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.files import as_paths
-from pcnde_bridge._utils.reading import naming
-from pcnde_bridge._utils.validation import positive
+from pcnde_bridge._utils.validation import naming, positive
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases

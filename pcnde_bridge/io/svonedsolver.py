@@ -17,8 +17,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.files import as_paths
-from pcnde_bridge._utils.reading import reading
+from pcnde_bridge._utils.files import as_paths, reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError

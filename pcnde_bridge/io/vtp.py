@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
-from pcnde_bridge._utils.files import check_claim
-from pcnde_bridge._utils.reading import reading
+from pcnde_bridge._utils.files import check_claim, reading
 from pcnde_bridge.errors import FileError
 
 _TYPES = {

@@ -61,7 +61,7 @@ def test_everything_is_there(demo, tmp_path, small_cases):
         result.model.predict(test).variables(), test
     )
     unchanged = Unchanged().fit(train).predict(train)
-    assert result.errors["nothing happens"]["train"] == pooled_errors(unchanged, train)
+    assert result.errors["no change"]["train"] == pooled_errors(unchanged, train)
 
     errors = pd.read_csv(folder / "errors.csv")
     assert len(errors) == len(small_cases) + 2  # and one pooled row for each set
@@ -193,7 +193,7 @@ def test_command(run, tmp_path):
     assert code == 0
     mark = json.loads((folder / MARK).read_text())
     for part in ("train", "test"):
-        for method in ("PCNDE", "nothing happens"):
+        for method in ("PCNDE", "no change"):
             assert f"{part}, {method}" in out
             assert f"{mark['errors'][method][part]['flow']:.4f}" in out
     assert f"pcnde predict {folder / 'model.npz'}" in out
