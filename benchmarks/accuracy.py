@@ -1,13 +1,13 @@
-"""Errors, training time and memory of the presets and of simpler methods, over seeds.
+"""Errors, training time and memory of the presets and of simpler methods, over several seeds.
 
 Run ``python benchmarks/accuracy.py [DATA] [--presets fast physics] [--engines jax]
-[--seeds 0 1 2 3 4] [--splits paper] [--json FILE]``.  Every fit is made in a process of
-its own, so that its time has all compilation in it and its memory is its own.  Prints,
-for each split and preset, the median and the worst of the seeds, and the simpler methods
-below: the polynomial is the best on the test cases of all degrees up to 3.
+[--seeds 0 1 2 3 4] [--splits paper] [--json FILE]``.  Every fit runs in its own process, so
+that its time includes all compilation and its memory is measured separately.  Prints the
+median and the worst of the seeds for each split and preset, and the errors of the simpler
+methods; the polynomial is the best one on the test cases of all degrees up to 3.
 
 Splits: ``paper``; ``transposed`` tests on the first geometry and the first waveform;
-``random`` on a random half, drawn by each seed.  All test cases of the paper's split are
+``random`` on a random half, chosen by each seed.  All test cases of the paper's split are
 the outermost ones.
 """
 
@@ -44,12 +44,12 @@ from pcnde_bridge.model.metrics import coverage, pooled_errors
 VARIABLES = ("flow", "area", "pressure")
 
 
-def split_of(cases: Cases, how: str, seed: int) -> Split:
-    """Divide the cases."""
-    if how == "paper":
+def split_cases(cases: Cases, split: str, seed: int) -> Split:
+    """Split the cases into training and test cases."""
+    if split == "paper":
         return cases.split("paper")
     labels = cases.labels[["geometry", "waveform"]]
-    if how == "transposed":
+    if split == "transposed":
         test = ((labels == labels.min()).any(axis=1)).to_numpy()
     else:
         test = np.zeros(len(cases), dtype=bool)
@@ -57,17 +57,17 @@ def split_of(cases: Cases, how: str, seed: int) -> Split:
     return Split(cases.select(np.flatnonzero(~test)), cases.select(np.flatnonzero(test)))
 
 
-def fit_and_measure(data: str, how: str, preset: str, engine: str, seed: int) -> dict[str, Any]:
-    """Fit one model in this process; all errors, seconds and the largest memory."""
+def fit_and_measure(data: str, split: str, preset: str, engine: str, seed: int) -> dict[str, Any]:
+    """Fit one model in this process; return all errors, seconds and the peak memory."""
     warnings.simplefilter("ignore")
-    train, test = split_of(load_cases(data), how, seed)
+    train, test = split_cases(load_cases(data), split, seed)
     began = time.perf_counter()
     model = PCNDE.fit(train, config=preset, engine=engine, seed=seed, progress=False)
     seconds = time.perf_counter() - began
     result: dict[str, Any] = {
-        "split": how,
+        "split": split,
         "preset": preset,
-        "asked": engine,
+        "requested": engine,
         "engine": model.engine.name,
         "seed": seed,
         "seconds": seconds,
@@ -80,16 +80,16 @@ def fit_and_measure(data: str, how: str, preset: str, engine: str, seed: int) ->
     return result
 
 
-def simpler(data: str, how: str, seed: int) -> dict[str, dict[str, dict[str, float]]]:
-    """Errors of the methods to compare with."""
-    sets = split_of(load_cases(data), how, seed)
+def measure_baselines(data: str, split: str, seed: int) -> dict[str, dict[str, dict[str, float]]]:
+    """Return the errors of the baselines."""
+    sets = split_cases(load_cases(data), split, seed)
     found = {}
     methods: dict[str, Any] = {"no change": Unchanged(), "1D solver": Solver1D(FEM_WALL)}
     for name, method in methods.items():
         method.fit(sets.train)
         found[name] = {
-            part: pooled_errors(method.predict(cases), cases)
-            for part, cases in sets._asdict().items()
+            subset: pooled_errors(method.predict(cases), cases)
+            for subset, cases in sets._asdict().items()
         }
     best: dict[str, float] = dict.fromkeys(VARIABLES, np.inf)
     for degrees in product(range(1, 4), repeat=2):
@@ -103,11 +103,11 @@ def simpler(data: str, how: str, seed: int) -> dict[str, dict[str, dict[str, flo
     return found
 
 
-def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Median and worst over the seeds."""
+def summarize(results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return median and maximum over the seeds."""
     rows = {
-        f"{part} {v}": [r[part][v] for r in results]
-        for part in ("train", "test")
+        f"{subset} {v}": [r[subset][v] for r in results]
+        for subset in ("train", "test")
         for v in VARIABLES
     }
     rows |= {name: [r[name] for r in results] for name in ("seconds", "peak_mb")}
@@ -117,7 +117,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Fit all, print the table, write the JSON."""
+    """Fit all models, print the table, and write the JSON file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", nargs="?", default="published")
     parser.add_argument("--presets", nargs="+", default=["fast", "physics"])
@@ -127,29 +127,31 @@ def main() -> None:
     parser.add_argument("--json")
     options = parser.parse_args()
     results: list[dict[str, Any]] = []
-    rivals: dict[str, Any] = {}
+    baselines: dict[str, Any] = {}
     spawn = multiprocessing.get_context("spawn")
-    for how in options.splits:
+    for split in options.splits:
         for preset, engine in product(options.presets, options.engines):
             for seed in options.seeds:
-                # A new process for every fit.
+                # Every fit runs in a new process.
                 with ProcessPoolExecutor(1, mp_context=spawn) as pool:
-                    args = options.data, how, preset, engine, seed
+                    args = options.data, split, preset, engine, seed
                     results.append(pool.submit(fit_and_measure, *args).result())
-            key = (how, preset, engine)
-            mine = [r for r in results if (r["split"], r["preset"], r["asked"]) == key]
-            print(f"{how}: {preset} ({engine}), {len(mine)} seeds, median (worst)")
-            for name, (median, worst) in summary(mine).items():
+            key = (split, preset, engine)
+            mine = [r for r in results if (r["split"], r["preset"], r["requested"]) == key]
+            print(f"{split}: {preset} ({engine}), {len(mine)} seeds, median (worst)")
+            for name, (median, worst) in summarize(mine).items():
                 print(f"  {name:18} {median:.5g} ({worst:.5g})", flush=True)
-        seeds = options.seeds if how == "random" else options.seeds[:1]
-        rivals[how] = {seed: simpler(options.data, how, seed) for seed in seeds}
-        for seed, methods in rivals[how].items():
+        seeds = options.seeds if split == "random" else options.seeds[:1]
+        baselines[split] = {seed: measure_baselines(options.data, split, seed) for seed in seeds}
+        for seed, methods in baselines[split].items():
             for name, errors in methods.items():
                 values = "  ".join(f"{v} {errors['test'][v]:.5f}" for v in VARIABLES)
-                print(f"{how}, seed {seed}: {name}: test {values}", flush=True)
+                print(f"{split}, seed {seed}: {name}: test {values}", flush=True)
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:  # noqa: PTH123
-            json.dump({"data": options.data, "fits": results, "simpler": rivals}, file, indent=1)
+            json.dump(
+                {"data": options.data, "fits": results, "baselines": baselines}, file, indent=1
+            )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Time from moving a control of ``pcnde app`` to the curves drawn, inside the browser.
+"""Time from moving a control of ``pcnde app`` until the curves are drawn, in a browser.
 
 Run ``python benchmarks/app.py MODEL [--moves 100] [--screenshot FILE.png]`` with a saved
-model; Chromium and its driver must be installed.  It serves the page, presses an arrow key on
-the control of the blockage, and takes the time between the key's event and Plotly's
+model; Chromium and its driver must be installed.  Serves the page, presses an arrow key on
+the control of the blockage, and measures the time between the key event and Plotly's
 ``plotly_afterplot`` of the later of both columns, whose curves must have changed; then the
-same with the keys sent without waiting.  Prints medians and worst with the machine's load.
+same with several keys sent without waiting.  Prints median and maximum, and the load.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ for (const id of ["along", "over"]) {
 
 
 def programs() -> tuple[str, str] | None:
-    """Paths of Chromium and of its driver, or None where one is missing."""
+    """Return the paths of Chromium and its driver, or None if one is missing."""
     found = [next(filter(None, map(shutil.which, names)), None) for names in (CHROMIUM, DRIVER)]
     return (found[0], found[1]) if found[0] and found[1] else None
 
 
 @contextlib.contextmanager
 def served(model: PCNDE, name: str) -> Iterator[str]:
-    """Address of a model's page, while it is served."""
+    """Serve a model's page, and return its address."""
     server = make_server(model, name, port=0)
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
@@ -79,7 +79,7 @@ def served(model: PCNDE, name: str) -> Iterator[str]:
 
 @contextlib.contextmanager
 def browser() -> Iterator[Any]:
-    """Headless Chromium with an empty profile."""
+    """Start headless Chromium with an empty profile."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -102,23 +102,23 @@ def browser() -> Iterator[Any]:
 
 
 def resize(driver: Any, width: int, height: int) -> None:
-    """Set the page's size in pixels."""
+    """Set the size of the page in pixels."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
-def wait_for(what: Callable[[], Any], seconds: float = _TIMEOUT) -> Any:
-    """Return what becomes true."""
+def wait_for(condition: Callable[[], Any], seconds: float = _TIMEOUT) -> Any:
+    """Wait until a condition is true, and return its value."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        if found := what():
+        if found := condition():
             return found
         time.sleep(0.02)
-    raise TimeoutError("The page did not change as it should.")
+    raise TimeoutError("The page did not change as expected.")
 
 
 def curves(driver: Any, column: str) -> list[dict[str, Any]]:
-    """Name, x and y of every trace of a column, as the browser has drawn them."""
+    """Return name, x and y of every trace of a column, as the browser has drawn them."""
     return driver.execute_script(
         "const graph = document.querySelector(`#${arguments[0]} .js-plotly-plot`);"
         "return graph && graph.data ? graph.data.map(({name, x, y}) => ({name, x, y})) : []",
@@ -127,20 +127,25 @@ def curves(driver: Any, column: str) -> list[dict[str, Any]]:
 
 
 def settled(driver: Any) -> bool:
-    """Whether everything is drawn, the interval and the 1D solver, too."""
-    said = [element.text for element in driver.find_elements("id", "progress")]
+    """Return whether all curves are drawn, including the interval and the 1D solver."""
+    progress = [element.text for element in driver.find_elements("id", "progress")]
     drawn = [trace["y"] for column in ("along", "over") for trace in curves(driver, column)[-1:]]
-    return said not in ([], [""]) and "computing" not in said[0] and len(drawn) == 2 and all(drawn)
+    return (
+        progress not in ([], [""])
+        and "computing" not in progress[0]
+        and len(drawn) == 2
+        and all(drawn)
+    )
 
 
 def move(driver: Any, moves: int, *, wait: bool = True) -> dict[str, list[float]]:
-    """Press arrow keys on the control of the blockage, to and fro in tens.
+    """Press arrow keys on the control of the blockage, ten to each side in turn.
 
     Returns
     -------
     dict of list of float
-        Milliseconds from the key's event until the curves are ``drawn``, and until the
-        frame after that is ``painted``; without waiting, from the last key's event.
+        Milliseconds from the key event until the curves are ``drawn``, and until the next
+        frame is ``painted``; without waiting, from the last key event.
     """
     from selenium.webdriver.common.keys import Keys
 
@@ -161,8 +166,8 @@ def move(driver: Any, moves: int, *, wait: bool = True) -> dict[str, list[float]
     return driver.execute_script("return {drawn: watched.drawn, painted: watched.painted}")
 
 
-def describe(name: str, times: list[float]) -> str:
-    """Median, 95 % and worst."""
+def describe_times(name: str, times: list[float]) -> str:
+    """Describe times by median, 95th percentile and maximum."""
     ordered = sorted(times)
     late = ordered[min(len(ordered) - 1, round(0.95 * len(ordered)))]
     return (
@@ -172,7 +177,7 @@ def describe(name: str, times: list[float]) -> str:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the times and print them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("--moves", type=int, default=100)
@@ -185,15 +190,15 @@ def main() -> None:
         if options.screenshot:
             driver.save_screenshot(str(options.screenshot))
         move(driver, 10)
-        driver.get(address)  # without what has been computed for the page before
+        driver.get(address)  # with empty caches of the page
         wait_for(lambda: settled(driver))
         print(f"load before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
         found = move(driver, options.moves)
         for name, times in found.items():
-            print(describe(f"key to {name}", times))
+            print(describe_times(f"key to {name}", times))
         wait_for(lambda: settled(driver))
         burst = move(driver, 9, wait=False)
-        print(describe("9 keys at once, last key to drawn", burst["drawn"][-1:]))
+        print(describe_times("9 keys at once, last key to drawn", burst["drawn"][-1:]))
         print(f"load after: {os.getloadavg()[0]:.1f}")
 
 

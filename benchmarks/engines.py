@@ -1,8 +1,8 @@
-"""Both engines side by side: latency, training, inference, memory.
+"""Latency, training time, inference time and memory of both engines.
 
-Usage: ``python benchmarks/engines.py [FOLDER_OR_FILE]``, with the published data set where
-none is named and it is on this machine, else with cases of the same size by formula.  Each
-engine runs in a process of its own, one after the other.
+Run ``python benchmarks/engines.py [DATA]``.  The default data is the published data set if
+it is on this machine, otherwise cases of the same size by formula.  Each engine runs in its
+own process, one after the other.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main() -> None:
         else:
             results[engine] = json.loads(done.stdout.splitlines()[-1])
     if not results:
-        raise SystemExit("no engine could be measured")
+        raise SystemExit("no engine is available")
     rows = list(next(iter(results.values())))
     both = len(results) == 2
     heads = [*results, "julia/jax"] if both else list(results)
@@ -70,13 +70,13 @@ def read(data: str | None) -> Cases:
 
 
 def cases_by_formula() -> Cases:
-    """One hundred cases of the published size."""
+    """Create one hundred cases of the published size."""
     time_, z = np.arange(100) / 100, np.linspace(0, 4, 101)
     geometry, waveform = (a.ravel() for a in np.meshgrid(range(1, 11), range(10), indexing="ij"))
     bump = np.exp(-(((z - 2) / 0.25) ** 2))
     area_undeformed = 0.125 * (1 - 0.05 * geometry[:, None] * bump)
-    wave = 0.2 * np.cos(2 * np.pi * time_) + 0.1 * np.sin(4 * np.pi * time_ + 1)
-    inflow = 1.2 + 0.3 * waveform[:, None] * wave
+    oscillation = 0.2 * np.cos(2 * np.pi * time_) + 0.1 * np.sin(4 * np.pi * time_ + 1)
+    inflow = 1.2 + 0.3 * waveform[:, None] * oscillation
     flow = inflow[:, :, None] * (1 - 0.02 * z / 4 * np.cos(2 * np.pi * time_)[:, None])
     pressure = 1.09e5 * flow[:, :, -1:] + 2e3 * geometry[:, None, None] * flow * (z < 2)
     area = area_undeformed[:, None] * (1 + pressure / 4.9e6) ** 2
@@ -85,7 +85,7 @@ def cases_by_formula() -> Cases:
 
 
 def measure(name: str, cases: Cases) -> dict[str, float]:
-    """Seconds, milliseconds and megabytes of one engine, in this fresh process."""
+    """Measure one engine in this new process; return seconds, milliseconds and megabytes."""
     results = {}
     started = time.perf_counter()
     engine = select_engine(name)
@@ -150,10 +150,10 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
         results[f"{stage}, BFGS iteration, ms"] = 1e3 * taken / count
 
     def infer(count: int) -> Callable[[], None]:
-        some = train.select(slice(0, count))
+        subset = train.select(slice(0, count))
 
         def run() -> None:
-            engine.predict(parameters, some.inflow, some.area_undeformed, grid, PAPER)
+            engine.predict(parameters, subset.inflow, subset.area_undeformed, grid, PAPER)
 
         return run
 
@@ -169,7 +169,7 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
 
 
 def timed(run: Callable[[], object]) -> tuple[float, object]:
-    """Median seconds of five runs after a first one, and what the last returned."""
+    """Return the median seconds of five runs after a first one, and the last result."""
     run()
     seconds = []
     for _ in range(5):

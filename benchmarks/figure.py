@@ -1,4 +1,4 @@
-"""Make the README's figure: the hardest test case, predicted and true.
+"""Draw the figure of the README: prediction and truth of the hardest test case.
 
 Run ``python benchmarks/figure.py model.npz [docs/prediction.png]``.
 """

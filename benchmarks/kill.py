@@ -1,16 +1,16 @@
-"""A fit that is killed again and again: what is left on the disk, and what comes of it.
+"""Resumption of fits that are killed at random moments.
 
 Run ``python benchmarks/kill.py [--presets fast paper physics] [--times 20] [--seed 0]
-[--engine jax]``.  The engine ``toy`` is that of the tests, all in numpy, for a busy machine.
-For each preset, in little, on synthetic cases:
+[--engine jax]``.  The engine ``toy`` is the numpy engine of the tests, for a busy machine.
+For each preset, with small settings and synthetic cases:
 
-1. a fit without interruption, in a process of its own;
-2. the same fit, killed (SIGKILL) at random moments ``--times`` times.  After each kill
-   every checkpoint file must be whole; then the run is started again;
-3. the last run ends undisturbed, and its parameters must be those of the first, bit for bit.
+1. a fit runs without interruption in its own process;
+2. the same fit is killed (SIGKILL) at random moments.  After each kill every checkpoint
+   file must be readable; then the run is started again;
+3. the last run ends undisturbed; its parameters must equal the first ones bit for bit.
 
-Runs are killed ``--times`` times in all: one that was finished too early begins again from
-nothing.  Exits with 1 if a file was unreadable or a result differed.
+There are ``--times`` kills in all: a run that finishes too early starts again from the
+beginning.  The exit code is 1 if a file was unreadable or a result differed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from pcnde_bridge.hemodynamics.synthetic import synthetic
 from pcnde_bridge.model.describe import describe
 from pcnde_bridge.training.checkpoint import previous, remove
 
-LITTLE: dict[str, PCNDEConfig | ClosureConfig] = {
+SMALL: dict[str, PCNDEConfig | ClosureConfig] = {
     "fast": FAST.replace(
         full_batch={"iterations": 20, "later_iterations": 10, "pressure_iterations": 10}
     ),
@@ -61,7 +61,7 @@ folder, kind, engine, checkpoint, out, tests = sys.argv[1:]
 progress = False
 if engine == "toy":
     sys.path.insert(0, tests)
-    from conftest import ToyEngine
+    from helpers import ToyEngine
     engine, progress = ToyEngine(), lambda record: time.sleep(0.01)
 read = {"ClosureConfig": ClosureConfig, "PCNDEConfig": PCNDEConfig}[kind].from_json
 config = read(open(folder + "/config.json").read())
@@ -71,38 +71,42 @@ PCNDE.fit(cases, config, engine, checkpoint=checkpoint, progress=progress).save(
 
 
 def main() -> None:
-    """Kill, look, continue, compare."""
+    """Kill the fits, check their files, resume them, and compare the results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--presets", nargs="+", default=["fast", "paper"], choices=LITTLE)
+    parser.add_argument("--presets", nargs="+", default=["fast", "paper"], choices=SMALL)
     parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("--seed", type=int, default=0, help="random seed for the moments")
     parser.add_argument("--engine", default="jax")
     options = parser.parse_args()
     rng = random.Random(options.seed)
     cases = synthetic(3, 4, n_points=41)
-    bad = 0
+    failures = 0
     for preset in options.presets:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             cases.save(folder / "cases.npz")
-            config = LITTLE[preset]
+            config = SMALL[preset]
             (folder / "config.json").write_text(config.to_json(), encoding="utf-8")
-            bad += kill(folder, type(config).__name__, preset, options.times, options.engine, rng)
-    sys.exit(1 if bad else 0)
+            failures += kill(
+                folder, type(config).__name__, preset, options.times, options.engine, rng
+            )
+    sys.exit(1 if failures else 0)
 
 
 def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: random.Random) -> int:
-    """Return how much went wrong."""
+    """Return the number of unreadable files and different results."""
     checkpoint, out = folder / "run.checkpoint", folder / "model.npz"
 
     def start(checkpoint: Path, out: Path) -> subprocess.Popen[bytes]:
         arguments = [str(folder), kind, engine, str(checkpoint), str(out), str(TESTS)]
-        # What is compiled is kept, so that more of the kills are in the training.
-        kept = {
+        # Compiled code is cached, so that more kills happen during training.
+        cache = {
             "JAX_COMPILATION_CACHE_DIR": str(folder / "compiled"),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         }
-        return subprocess.Popen([sys.executable, "-c", FIT, *arguments], env={**os.environ, **kept})
+        return subprocess.Popen(
+            [sys.executable, "-c", FIT, *arguments], env={**os.environ, **cache}
+        )
 
     for _ in range(2):  # the first compiles
         began = time.monotonic()
@@ -133,10 +137,10 @@ def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: ran
                         at = (
                             f"{state['finished']} of {state['units']}" if path == checkpoint else at
                         )
-            print(f"{preset}: kill {kills}, then {at} finished", flush=True)
+            print(f"{preset}: kill {kills}, {at} finished", flush=True)
             continue
         if process.returncode:
-            sys.exit("A continued fit failed.")
+            sys.exit("A resumed fit failed.")
         finished += 1
         found = dict(PCNDE.load(out, engine="jax").parameters)
         if not all(np.array_equal(found[name], vector) for name, vector in reference.parameters):
@@ -145,8 +149,8 @@ def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: ran
             break
         remove(checkpoint)
     print(
-        f"{preset}: {kills} kills, {finished} runs to the end, {different} with another result, "
-        f"{unreadable} unreadable files, {len(list(folder.glob('.*')))} temporary files left over",
+        f"{preset}: {kills} kills, {finished} completed runs, {different} with a different result, "
+        f"{unreadable} unreadable files, {len(list(folder.glob('.*')))} temporary files remain",
         flush=True,
     )
     return unreadable + different

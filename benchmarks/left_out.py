@@ -49,10 +49,10 @@ def main() -> None:
     for geometries, waveforms in FOLDS[options.folds]:
         labels = train.labels
         out = (labels["geometry"].isin(geometries) | labels["waveform"].isin(waveforms)).to_numpy()
-        kept, left_out = train.select(np.flatnonzero(~out)), train.select(np.flatnonzero(out))
+        retained, left_out = train.select(np.flatnonzero(~out)), train.select(np.flatnonzero(out))
         errors = []
         for seed in options.seeds:
-            model = PCNDE.fit(kept, config, engine=options.engine, seed=seed, progress=False)
+            model = PCNDE.fit(retained, config, engine=options.engine, seed=seed, progress=False)
             found = pooled_errors(model.predict(left_out).variables(), left_out)
             errors.append([1e4 * found[name] for name in ("flow", "area", "pressure")])
         table.append(np.mean(errors, axis=0))

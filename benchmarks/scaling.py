@@ -1,11 +1,11 @@
-"""Time of independent fits with one and with more worker processes, and that bits agree.
+"""Time of independent fits with different numbers of worker processes.
 
 Run ``python benchmarks/scaling.py [DATA] [--preset fast] [--fits 4] [--workers 1 2] [--turns 3]
 [--executor processes] [--json FILE]``; ``dask`` is a local cluster.  Every worker has one thread
-of XLA, so that one worker does not use what the second would.  The same seeds are fitted with
-each number of workers, in turns; workers are started, and have compiled, before the clock starts.
-Prints the median seconds, the ratio to the first, and whether all parameters are those of the
-first run, bit for bit.
+of XLA, so that one worker does not use the cores of another.  The same seeds are fitted with
+each number of workers, in turns; workers are started and have compiled before the measurement.
+Prints the median seconds, the ratio to the first, and whether all parameters equal those of the
+first run bit for bit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def started(kind: str, workers: int) -> Iterator[Executor]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the times and print them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", nargs="?", default="published")
     parser.add_argument("--preset", default="fast")
@@ -68,7 +68,7 @@ def main() -> None:
     with contextlib.ExitStack() as stack:
         pools = {n: stack.enter_context(started(options.executor, n)) for n in options.workers}
         seconds: dict[int, list[float]] = {workers: [] for workers in pools}
-        same: dict[int, bool] = dict.fromkeys(pools, True)
+        equal: dict[int, bool] = dict.fromkeys(pools, True)
         first: dict[str, dict[str, Any]] = {}
         for turn in range(options.turns + 1):
             for workers, pool in pools.items():
@@ -77,7 +77,7 @@ def main() -> None:
                 if turn:  # the first compiles
                     seconds[workers].append(time.perf_counter() - began)
                 first = first or results
-                same[workers] &= identical(results, first)
+                equal[workers] &= identical(results, first)
         base = statistics.median(next(iter(seconds.values())))
         for workers, values in seconds.items():
             taken = statistics.median(values)
@@ -86,7 +86,7 @@ def main() -> None:
                 "fits": options.fits,
                 "seconds": taken,
                 "ratio": base / taken,
-                "identical": same[workers],
+                "identical": equal[workers],
                 "load": os.getloadavg()[0],
             }
             rows.append(row)
@@ -102,7 +102,7 @@ def main() -> None:
 
 
 def identical(results: dict[str, dict[str, Any]], others: dict[str, dict[str, Any]]) -> bool:
-    """Compare every array but the history, which holds times."""
+    """Return whether all results are equal, except the history, which contains times."""
     compare: Callable[[Any, Any], bool] = np.array_equal
     return all(
         compare(value, others[name][key])

@@ -1,13 +1,13 @@
-"""Time of predicting 1, 100 and 10 000 cases, after compilation: in one call and streamed.
+"""Time of predicting 1, 100 and 10 000 cases after compilation, in one call and streamed.
 
 Run ``python benchmarks/speed.py MODEL [MODEL ...] [--engines jax julia] [--batches 1 100 10000]
-[--json FILE]`` with saved models, such as ``pcnde fit published --preset physics --out
-physics.npz`` makes them.  All models and engines are measured in turns in this one run, each
-first streamed (``predict_batches``), then in one call (``predict``).  Prints milliseconds per
-case (median and best turn), cases per second, the ratio to the first, and by how much the
-process's memory grew at most so far; the load of the machine before and after.  The published
-cases are repeated, their inflows scaled by up to 1 %, so that no two are the same; a single
-case has another wave in every turn.
+[--json FILE]`` with saved models, such as those of ``pcnde fit published --preset physics --out
+physics.npz``.  All models and engines are measured in turns in one run, each first streamed
+(``predict_batches``), then in one call (``predict``).  Prints milliseconds per case (median and
+best turn), cases per second, the ratio to the first, the largest growth of the process's memory
+so far, and the load of the machine before and after.  The published cases are repeated with
+inflows scaled by up to 1 %, so that all are different; a single case has another waveform in
+every turn.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pcnde_bridge import (
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure the times and print them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("models", nargs="+")
     parser.add_argument("--engines", nargs="+", default=["jax"])
@@ -48,16 +48,16 @@ def main() -> None:
             try:
                 models[name] = PCNDE.load(path, engine=engine)
             except PCNDEError as error:
-                print(f"{name}: left out, {error}")
+                print(f"{name}: skipped, {error}")
     cases = load_cases("published")
     rng = np.random.default_rng(0)
     rows = []
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     start = _peak_mb()
-    # Streamed before all at once: a process's peak of memory does not fall again.
+    # Streamed first: the peak memory of a process never decreases.
     runs = [("streamed", max(options.batches))] if max(options.batches) > 1 else []
     runs += [("in one call", count) for count in options.batches]
-    for way, count in runs:
+    for mode, count in runs:
         scale = 1 + 0.01 * rng.uniform(-1, 1, size=(count, 1))
         inflow = scale * np.resize(cases.inflow, (count, cases.n_times))
         area = np.resize(cases.area_undeformed, (count, cases.n_points))
@@ -67,7 +67,7 @@ def main() -> None:
                 inflow = cases.inflow[[turn % len(cases)]] * scale
             for name, model in models.items():
                 began = time.perf_counter()
-                if way == "streamed":
+                if mode == "streamed":
                     for _ in model.predict_batches(inflow, area):
                         pass
                 else:
@@ -80,7 +80,7 @@ def main() -> None:
             first = first or taken
             row = {
                 "cases": count,
-                "way": way,
+                "mode": mode,
                 "model": name,
                 "ms_per_case": 1e3 * taken / count,
                 "best_ms_per_case": 1e3 * min(values) / count,

@@ -397,7 +397,7 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     assert_drawn(bench, page, model, choices.initial)
     before = drawn(bench, page, "along")
     times = bench.move(page, 3)
-    print(bench.describe("key to drawn", times["drawn"]))
+    print(bench.describe_times("key to drawn", times["drawn"]))
     assert chosen(page, "blockage") == pytest.approx(100 * choices.blockage.start - 1.5)
     inputs = choices.inputs(chosen(page, "blockage") / 100, choices.scale.start)
     assert_drawn(bench, page, model, inputs)
