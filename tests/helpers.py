@@ -222,3 +222,19 @@ def interrupt_at(engine, monkeypatch, number):
         return fit(*args)
 
     monkeypatch.setattr(engine.flow, "fit", interrupted)
+
+
+def case_arguments(cases, **changes):
+    """Return the arguments that create a data set, with changes."""
+    names = ("flow", "area", "pressure", "area_undeformed", "time", "z")
+    given = {name: np.array(getattr(cases, name)) for name in names}
+    return given | {"period": cases.period, "labels": cases.labels} | changes
+
+
+def case_pairs(cases):
+    return list(zip(cases.labels["geometry"], cases.labels["waveform"], strict=True))
+
+
+def with_labels(cases, labels):
+    axes = cases.area_undeformed, cases.time, cases.z
+    return Cases(cases.flow, cases.area, cases.pressure, *axes, period=cases.period, labels=labels)

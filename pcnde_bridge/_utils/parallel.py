@@ -32,7 +32,7 @@ import multiprocessing
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -187,20 +187,13 @@ def run(
     >>> run(abs, {"first": -1, "second": 2}, progress=False).results
     {'first': 1, 'second': 2}
     """
-    for name in tasks:
-        if not _NAME.fullmatch(name):
-            raise InputError(
-                f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
-            )
+    _check_names(tasks)
     stored = None if folder is None else ResultFolder(folder, facts or {})
     found = {name: None if stored is None else stored.read(name) for name in tasks}
     results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
     failures: dict[str, str] = {}
     names = [name for name in tasks if name not in results]
-    if executor is None:
-        finished = _run_here(function, tasks, names, _Retries(retries))
-    else:
-        finished = _PoolRun(function, tasks, names, executor, _Retries(retries)).results()
+    finished = _run(function, tasks, names, executor, _Retries(retries))
     shown = TaskProgress(len(tasks), len(results), progress)
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
     with contextlib.closing(finished), shown as bar:
@@ -249,6 +242,14 @@ def _call(call: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
     return function(*arguments)
 
 
+def _check_names(names: Iterable[str]) -> None:
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise InputError(
+                f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
+            )
+
+
 class _Retries:
     """Decision whether a failed task is repeated."""
 
@@ -266,6 +267,19 @@ class _Retries:
 
 def _words(error: BaseException) -> str:
     return str(error) if isinstance(error, PCNDEError) else f"{type(error).__name__}: {error}"
+
+
+def _run(
+    function: Callable[[Task], Any],
+    tasks: Mapping[str, Task],
+    names: list[str],
+    executor: Workers | None,
+    retries: _Retries,
+) -> _Finished:
+    """Return an iterator over the outcomes of tasks, in the order in which they finish."""
+    if executor is None:
+        return _run_here(function, tasks, names, retries)
+    return _PoolRun(function, tasks, names, executor, retries).results()
 
 
 def _run_here(

@@ -101,7 +101,7 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
     else:
         why = "time must cover one period, without its end point"
     raise InputError(
-        f"period is {period:g} s, but {n_times} time points in steps of {step:g} s make "
+        f"period is {period:g} s, but {n_times} time points in steps of {step:g} s give "
         f"{cycle:g} s: {why}"
     )
 

@@ -1,0 +1,193 @@
+"""Selections of cases and named splits."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers import case_arguments, case_pairs, with_labels
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcnde_bridge.data.cases import Cases, Split
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+
+
+def labelled(cases, **columns):
+    return Cases(**case_arguments(cases, labels=cases.labels.assign(**columns)))
+
+
+bounded = settings(max_examples=25, deadline=None)
+
+
+@pytest.mark.parametrize(
+    ("index", "positions"),
+    [
+        (5, [5]),
+        (-1, [11]),
+        (np.int64(2), [2]),
+        ([7, 0, -2], [7, 0, 10]),
+        (slice(None, None, -1), range(11, -1, -1)),
+        (slice(2, 4), [2, 3]),
+        (np.arange(12) % 5 == 0, [0, 5, 10]),
+        ([True] + [False] * 11, [0]),
+        ([(3, 0), (1, 2)], [8, 2]),
+        ([[1, 1]], [1]),
+        (np.array([[2, 3]]), [7]),
+    ],
+)
+def test_select_by_position_mask_and_pairs(small_cases, index, positions):
+    chosen = small_cases.select(index)
+    assert case_pairs(chosen) == [case_pairs(small_cases)[i] for i in positions]
+    assert isinstance(chosen.labels.index, pd.RangeIndex)
+    for name in ("flow", "area", "pressure", "area_undeformed"):
+        array = getattr(chosen, name)
+        assert np.array_equal(array, getattr(small_cases, name)[list(positions)])
+        assert array.flags.c_contiguous
+        assert not array.flags.writeable
+    assert Cases(**case_arguments(chosen)) == chosen
+
+
+def test_select_by_labels(small_cases):
+    assert case_pairs(small_cases.select(geometry=2)) == [(2, 0), (2, 1), (2, 2), (2, 3)]
+    assert case_pairs(small_cases.select(geometry=[3, 1], waveform=2)) == [(1, 2), (3, 2)]
+    assert case_pairs(small_cases.select(waveform=range(2), patient="patient 1")) == [
+        (1, 0),
+        (1, 1),
+    ]
+    assert set(small_cases.select(blockage=0.1 + 0.4).labels["geometry"]) == {2}
+    unknown = labelled(small_cases, blockage=[np.nan, *[0.5] * 11])
+    assert case_pairs(unknown.select(blockage=np.nan)) == [(1, 0)]
+    mask = small_cases.labels["waveform"] == 3
+    assert small_cases.select(mask) == small_cases.select(waveform=3)
+
+
+@pytest.mark.parametrize(
+    ("args", "labels", "message"),
+    [
+        ((), {}, "neither was given"),
+        ((0,), {"geometry": 1}, "both were given"),
+        ((12,), {}, "there is no case 12: positions run from 0 to 11, or from -12 to -1"),
+        (([0, -13],), {}, "there is no case -13"),
+        ((slice(5, 5),), {}, "the selection is empty"),
+        (([],), {}, "the selection is empty"),
+        (([False] * 12,), {}, "the selection is empty"),
+        (([True],), {}, "the mask has 1 value but there are 12 cases"),
+        ((slice("a", None),), {}, "the slice .* is not usable"),
+        (((1, 2),), {}, r"write \[\(1, 2\)\] for a \(geometry, waveform\) pair, or \[1, 2\] for p"),
+        (([1.5],), {}, r"select cannot use \[1\.5\]"),
+        (("paper",), {}, "select cannot use 'paper'"),
+        ((True,), {}, "select cannot use True"),
+        (([[1, 2], [3]],), {}, "select cannot use"),
+        (([[1, 2, 3]],), {}, r"select, entry 0, is \[1, 2, 3\]; write \[geometry, waveform\]"),
+        (([[1.5, 2]],), {}, "two whole numbers"),
+        (([(1, 2), (9, 9)],), {}, r"not in this data set: \(geometry, waveform\) = \(9, 9\);"),
+        (([(1, 2), (1, 2)],), {}, r"select names \(1, 2\) twice, the second time as entry 1"),
+        (([3, -9],), {}, "case 3 is selected more than once"),
+        ((), {"geometry": 11}, "no case has geometry = 11; the available values are: 1, 2, 3"),
+        ((), {"geometry": [1, 7, 8]}, "no case has geometry = 7, 8"),
+        ((), {"patient": "Anne"}, "no case has patient = Anne"),
+        ((), {"colour": "red"}, "there is no label 'colour'; the labels are 'geometry', 'wavefo"),
+        ((), {"geometry": 1, "patient": "patient 2"}, "the selection is empty"),
+    ],
+)
+def test_select_refuses(small_cases, args, labels, message):
+    with pytest.raises(InputError, match=message):
+        small_cases.select(*args, **labels)
+
+
+def test_paper_split_of_any_matrix(small_cases):
+    shuffled = small_cases.select(np.random.default_rng(1).permutation(12))
+    split = shuffled.split("paper")
+    assert isinstance(split, Split)
+    assert case_pairs(split.train) == [(g, w) for g in (1, 2) for w in (0, 1, 2)]
+    assert case_pairs(split.test) == [(1, 3), (2, 3), *((3, w) for w in range(4))]
+    assert split == small_cases.split()
+
+
+@pytest.mark.parametrize("chosen", [{"geometry": 1}, {"waveform": 2}])
+def test_paper_split_needs_two_of_each(small_cases, chosen):
+    with pytest.raises(InputError, match="so no case is left for training; name the cases"):
+        small_cases.select(**chosen).split()
+
+
+@pytest.mark.parametrize("kind", ["mapping", "file"])
+def test_split_by_name(small_cases, tmp_path, kind):
+    mapping = {"train": [[2, 1], [1, 3]], "test": [[3, 0]]}
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps(mapping))
+    for how in [mapping] if kind == "mapping" else [path, str(path)]:
+        split = small_cases.split(how)
+        assert case_pairs(split.train) == [(2, 1), (1, 3)]
+        assert case_pairs(split.test) == [(3, 0)]
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({"train": [[1, 1]], "tets": []}, "unknown keys: tets; the keys are 'train' and 'test'"),
+        ({"train": [[1, 1]]}, "has no 'test'"),
+        ({"test": [[1, 1]]}, "has no 'train'"),
+        ({"train": [[1, 1]], "test": []}, "'test' of .* must be a non-empty list"),
+        ({"train": 3, "test": [[1, 1]]}, "'train' of .* must be a non-empty list"),
+        ({"train": "all", "test": [[1, 1]]}, "'train' of .* must be a non-empty list"),
+        ({"train": [[1, 1], [1]], "test": [[1, 2]]}, r"'train' of .*, entry 1, is \[1\]"),
+        ({"train": [[1, 1.5]], "test": [[1, 2]]}, "two whole numbers"),
+        ({"train": [[1, True]], "test": [[1, 2]]}, "two whole numbers"),
+        ({"train": [[1, 1], [1, 1]], "test": [[1, 2]]}, r"names \(1, 1\) twice"),
+        ({"train": [[1, 1], [1, 2]], "test": [[1, 2]]}, r"in both 'train' and 'test'.*\(1, 2\)"),
+        ({"train": [[1, 1], [4, 1], [1, 7]], "test": [[1, 2]]}, r"data set: .*\(4, 1\), \(1, 7\);"),
+    ],
+)
+def test_split_refuses(small_cases, tmp_path, mapping, message):
+    with pytest.raises(InputError, match=message):
+        small_cases.split(mapping)
+    path = tmp_path / "split.json"
+    path.write_text(json.dumps(mapping))
+    with pytest.raises(InputError, match=message) as caught:
+        small_cases.split(path)
+    assert "split.json" in str(caught.value)
+
+
+def test_split_refuses_files(small_cases, tmp_path):
+    with pytest.raises(DataNotFoundError, match=r"no split file 'papre'; give 'paper', a mapping"):
+        small_cases.split("papre")
+    path = tmp_path / "split.json"
+    for text in ('{"train": [[1, 1]', "\udcff", "[" * 100_000):
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+        with pytest.raises(FileError, match="is not a readable JSON file"):
+            small_cases.split(path)
+    path.write_text("[1]")
+    with pytest.raises(InputError, match=r'must hold \{"train"'):
+        small_cases.split(path)
+
+
+@bounded
+@given(data=st.data())
+def test_selecting_keeps_the_order_asked_for(small_cases, data):
+    wanted = data.draw(st.lists(st.integers(0, 11), min_size=1, unique=True))
+    chosen = small_cases.select(wanted)
+    assert case_pairs(chosen) == [case_pairs(small_cases)[i] for i in wanted]
+    assert chosen == small_cases.select(case_pairs(chosen))
+    back = [wanted.index(i) for i in sorted(wanted)]
+    mask = np.isin(np.arange(12), wanted)
+    assert chosen.select(back) == small_cases.select(mask)
+
+
+def test_a_split_that_is_neither_named_nor_a_file_is_refused(small_cases):
+    with pytest.raises(InputError, match=r"how must be 'paper', a mapping or the path"):
+        small_cases.split([1])
+
+
+def test_whole_numbers_may_have_any_type(small_cases):
+    labels = small_cases.labels.astype({"geometry": object})
+    assert with_labels(small_cases, labels) == small_cases
+    fields = (np.tile(getattr(small_cases, n), (25, 1, 1)) for n in ("flow", "area", "pressure"))
+    undeformed = np.tile(small_cases.area_undeformed, (25, 1))
+    many = Cases(*fields, undeformed, small_cases.time, small_cases.z)
+    assert many.select(np.array([11, 3], np.uint8)) == many.select([11, 3])
+    assert many.select(np.array([-1, 3], np.int8)) == many.select([299, 3])
+    with pytest.raises(InputError, match="there is no case 18446744073709551615"):
+        many.select(np.array([2**64 - 1], np.uint64))
