@@ -161,15 +161,12 @@ class ResponseSurface:
         waveform_components: int | None = None,
         geometry_components: int | None = None,
     ) -> None:
-        for name, value in (
-            ("waveform_degree", waveform_degree),
-            ("geometry_degree", geometry_degree),
-            ("waveform_components", waveform_components or 0),
-            ("geometry_components", geometry_components or 0),
-        ):
-            whole(name, value)
-        self._degrees = (waveform_degree, geometry_degree)
-        self._wanted = (waveform_components, geometry_components)
+        whole("waveform_degree", waveform_degree)
+        whole("geometry_degree", geometry_degree)
+        whole("waveform_components", waveform_components or 0)
+        whole("geometry_components", geometry_components or 0)
+        self._waveform = waveform_degree, waveform_components
+        self._geometry = geometry_degree, geometry_components
         self._axes: tuple[_Axis, _Axis] | None = None
         self._grid: Grid | None = None
         self._coefficients: dict[str, Array] = {}
@@ -184,10 +181,7 @@ class ResponseSurface:
             geometries for the degree.
         """
         inputs = (train.inflow, train.area_undeformed)
-        waveform, geometry = (
-            _Axis(*arguments) for arguments in zip(inputs, self._degrees, self._wanted, strict=True)
-        )
-        axes = waveform, geometry
+        axes = _Axis(inputs[0], *self._waveform), _Axis(inputs[1], *self._geometry)
         n_terms = axes[0].n_terms * axes[1].n_terms
         if n_terms > len(train):
             raise InputError(

@@ -6,20 +6,14 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.parallel import Workers, run
+from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import each_waveform_and_geometry
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.model.fit_task import (
-    FitTask,
-    common_facts,
-    fit_and_score,
-    same_everywhere,
-    score_table,
-)
+from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 
 
 def cross_validate(
@@ -73,15 +67,9 @@ def cross_validate(
         tasks[f"{label} {value}"] = FitTask(
             cases.select(rest), settings, engine, seed, cases.select(positions)
         )
-    outcome = run(
-        fit_and_score,
-        tasks,
-        executor=executor,
-        retries=retries,
-        folder=folder,
-        facts={**common_facts("cross-validation", cases, settings, engine), "seed": seed},
-        progress=progress,
-    )
-    table = score_table(tasks, outcome, pd.MultiIndex.from_tuples(folds, names=["label", "value"]))
+    index = pd.MultiIndex.from_tuples(folds, names=["label", "value"])
+    facts = {**common_facts("cross-validation", cases, settings, engine), "seed": seed}
+    options = {"executor": executor, "retries": retries, "folder": folder, "progress": progress}
+    table = score_fits(tasks, index, facts, **options)
     table.insert(0, "cases", [len(positions) for positions in folds.values()])
     return table

@@ -7,20 +7,14 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.parallel import Workers, run
+from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge._utils.validation import whole_seeds
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.model.fit_task import (
-    FitTask,
-    common_facts,
-    fit_and_score,
-    same_everywhere,
-    score_table,
-)
+from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 from pcnde_bridge.model.kinds import kind_of
 
 
@@ -75,10 +69,7 @@ def sweep(
         if not isinstance(cases, Cases) and not (name == "held_out" and cases is None):
             raise InputError(f"sweep needs Cases as {name}, got {type(cases).__name__}.")
     if not isinstance(configs, Mapping) or not configs:
-        raise InputError(
-            "sweep needs a mapping of names to at least one configuration, such as "
-            "{'fast': 'fast'}."
-        )
+        raise InputError("sweep needs a mapping of names to configurations: at least one.")
     seeds = whole_seeds(seeds)
     settings = {name: resolve_config(config) for name, config in configs.items()}
     if held_out is not None:
@@ -93,16 +84,9 @@ def sweep(
     facts = {
         "held_out": None if held_out is None else held_out.fingerprint(),
         "configs": {
-            name: common_facts("sweep", train, settings[name], engine) for name in settings
+            name: common_facts("sweep", train, config, engine) for name, config in settings.items()
         },
     }
-    outcome = run(
-        fit_and_score,
-        tasks,
-        executor=executor,
-        retries=retries,
-        folder=folder,
-        facts=facts,
-        progress=progress,
-    )
-    return score_table(tasks, outcome, pd.MultiIndex.from_tuples(keys, names=["config", "seed"]))
+    index = pd.MultiIndex.from_tuples(keys, names=["config", "seed"])
+    options = {"executor": executor, "retries": retries, "folder": folder, "progress": progress}
+    return score_fits(tasks, index, facts, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import gzip
 import itertools
@@ -48,25 +49,17 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
         # Blanks after commas belong neither to names nor to values.
         frame: pd.DataFrame = pd.read_csv(path, skipinitialspace=True, **_EXACT, **options)
     except UnicodeDecodeError as error:
-        raise FileError(
-            f"Cannot read a table from {path}: it is not UTF-8 text ({error}). Save it as CSV in "
-            "UTF-8."
-        ) from error
+        advice = "it is not UTF-8 text: save it as CSV in UTF-8"
+        raise FileError(f"Cannot read a table from {path}: {advice} ({error}).") from error
     except _UNREADABLE as error:
-        raise FileError(f"Cannot read a table from {path}: {error}.{_advice(path)}") from error
+        header = ""
+        if Path(path).is_file():
+            with contextlib.suppress(*_UNREADABLE):
+                header = ",".join(pd.read_csv(path, nrows=0).columns)
+        raise FileError(f"Cannot read a table from {path}: {error}.{_separated(header)}") from error
     if frame.shape[1] == 1 and (advice := _separated(str(frame.columns[0]))):
         raise FileError(f"Cannot read a table from {path}.{advice}")
     return frame
-
-
-def _advice(path: StrPath) -> str:
-    """Return advice on a file that cannot be read, if its first line gives a reason."""
-    if not Path(path).is_file():
-        return ""
-    try:
-        return _separated(",".join(pd.read_csv(path, nrows=0).columns))
-    except _UNREADABLE:
-        return ""
 
 
 def _separated(header: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pandas as pd
 
-from pcnde_bridge._utils.parallel import Outcome
+from pcnde_bridge._utils.parallel import run
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
@@ -33,7 +33,7 @@ class FitTask:
     seed : int
         Random seed of the fit.
     held_out : Cases or None
-        Further cases that :func:`fit_and_score` evaluates.
+        Further cases that :func:`score_fits` evaluates.
     """
 
     train: Cases
@@ -59,37 +59,22 @@ def model_of(result: dict[str, Any], engine: EngineName | Engine) -> PCNDE:
     return PCNDE.from_archive(result["facts"], arrays, engine)
 
 
-def fit_and_score(task: FitTask) -> dict[str, float]:
-    """Fit, and return relative errors and seconds.
-
-    Returns
-    -------
-    dict
-        ``flow``, ``area`` and ``pressure`` on the cases held out, ``train_flow`` and so
-        on, and ``seconds``.
-    """
-    model = task.fit()
-    scores: dict[str, float] = {}
-    for prefix, cases in (("", task.held_out), ("train_", task.train)):
-        if cases is not None:
-            errors = pooled(model.evaluate(cases))
-            scores |= {f"{prefix}{name}": error for name, error in errors.items()}
-    return {**scores, "seconds": float(model.provenance["seconds"])}
-
-
-def score_table(
-    tasks: Mapping[str, FitTask], outcome: Outcome, index: pd.MultiIndex
+def score_fits(
+    tasks: Mapping[str, FitTask], index: pd.MultiIndex, facts: Mapping[str, Any], **options: Any
 ) -> pd.DataFrame:
-    """Return the results of :func:`fit_and_score` in columns that do not depend on failures.
+    """Run fits, and return their errors in columns that do not depend on failures.
 
     Parameters
     ----------
     tasks : mapping of str to FitTask
-        All tasks, one or more.
-    outcome : Outcome
-        Results and failures of the tasks.
+        Fits by name, one or more.
     index : MultiIndex
         Index of the rows, one for each task in their order.
+    facts : mapping
+        Facts that identify the study, see :func:`common_facts`.
+    **options
+        ``executor``, ``retries``, ``folder`` and ``progress``, as in
+        :func:`pcnde_bridge._utils.parallel.run`.
 
     Returns
     -------
@@ -97,6 +82,7 @@ def score_table(
         Columns ``flow``, ``area`` and ``pressure`` where cases were held out, ``train_flow``
         and so on, ``seconds``, and ``failure``: the reason for missing numbers, else None.
     """
+    outcome = run(_fit_and_score, tasks, facts=facts, **options)
     held_out = any(task.held_out is not None for task in tasks.values())
     prefixes = ("", "train_") if held_out else ("train_",)
     numbers = [f"{prefix}{name}" for prefix in prefixes for name in VARIABLES] + ["seconds"]
@@ -104,6 +90,17 @@ def score_table(
     table = pd.DataFrame(rows, index=index, columns=numbers, dtype=float)
     table["failure"] = pd.Series(list(map(outcome.failures.get, tasks)), index, dtype=object)
     return table
+
+
+def _fit_and_score(task: FitTask) -> dict[str, float]:
+    """Fit, and return relative errors of both sets of cases, and seconds."""
+    model = task.fit()
+    scores: dict[str, float] = {}
+    for prefix, cases in (("", task.held_out), ("train_", task.train)):
+        if cases is not None:
+            errors = pooled(model.evaluate(cases))
+            scores |= {f"{prefix}{name}": error for name, error in errors.items()}
+    return {**scores, "seconds": float(model.provenance["seconds"])}
 
 
 def common_facts(

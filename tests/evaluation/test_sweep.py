@@ -32,7 +32,7 @@ def test_a_sweep(small_cases, other_period, config, engine):
     alone = sweep(train, None, {"plain": config}, (0,), engine, progress=False)
     assert "flow" not in alone
     assert alone["train_flow"].iloc[0] == table["train_flow"].iloc[0]
-    with pytest.raises(InputError, match="at least one configuration"):
+    with pytest.raises(InputError, match="mapping of names to configurations: at least one"):
         sweep(train, held, {}, (0,), engine)
     with pytest.raises(InputError, match=r"none twice; got \[0, 0, 1\]"):
         sweep(train, held, configs, [0, 0, 1], engine)

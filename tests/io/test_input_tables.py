@@ -108,7 +108,7 @@ def test_an_end_point_counts_by_the_range_of_each_waveform(tmp_path):
         ("time;a\n0;1\n0,25;2\n", FileError, "separated by semicolons: save it with commas"),
         ("time;a\n0;1,5\n0,25;2,5,1\n", FileError, "separated by semicolons"),
         ("time\ta\n0\t1\n", FileError, "separated by tabs: save it with commas"),
-        ("time,a\n".encode("utf-16"), FileError, "not UTF-8 text .* Save it as CSV in UTF-8"),
+        ("time,a\n".encode("utf-16"), FileError, "not UTF-8 text: save it as CSV in UTF-8"),
         ("\n\n \ntime,a\n0,1\n\n0.25,x\n", InputError, "line 7, column a: not a number"),
         ("\ntime,a\n0,1\n0.3,1\n0.5,1\n0.75,1\n", InputError, "line 4: time is 0.3 s"),
     ],
