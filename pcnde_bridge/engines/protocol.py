@@ -217,38 +217,14 @@ class Engine(Protocol):
     """
 
     name: str
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Versions of the packages that compute."""
-
-    @property
-    def flow(self) -> Stage[FlowInputs]:
-        """Momentum equation."""
-
-    @property
-    def intermediate_area(self) -> Stage[IntermediateAreaInputs]:
-        """Continuity equation over a few cycles."""
-
-    @property
-    def fourier_area(self) -> Stage[FourierAreaInputs]:
-        """Periodic continuity equation."""
-
-    @property
-    def temporal_pressure(self) -> Stage[TemporalPressureInputs]:
-        """Pressure network."""
-
-    @property
-    def spatial_pressure(self) -> Stage[SpatialPressureInputs]:
-        """Pressure drop along the vessel."""
-
-    @property
-    def temporal_flow(self) -> Stage[TemporalFlowInputs]:
-        """Momentum equation in time."""
-
-    @property
-    def closures(self) -> Closures:
-        """Equations of the ``physics`` preset."""
+    versions: Mapping[str, str]
+    flow: Stage[FlowInputs]
+    intermediate_area: Stage[IntermediateAreaInputs]
+    fourier_area: Stage[FourierAreaInputs]
+    temporal_pressure: Stage[TemporalPressureInputs]
+    spatial_pressure: Stage[SpatialPressureInputs]
+    temporal_flow: Stage[TemporalFlowInputs]
+    closures: Closures
 
     def lbfgs(
         self,

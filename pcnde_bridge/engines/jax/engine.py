@@ -24,8 +24,9 @@ from pcnde_bridge.engines.jax import (
 )
 from pcnde_bridge.engines.jax.closures.engine import JaxClosures
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
-from pcnde_bridge.engines.jax.stage import JaxStage, Model, in_batches
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, JaxStage, Model, Result, in_batches
 from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import Closures, Stage
 from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.engines.types import (
     FlowInputs,
@@ -39,14 +40,10 @@ from pcnde_bridge.engines.types import (
 
 __all__ = ["JaxEngine", "jax_engine"]
 
-_Inputs = tuple[jax.Array, ...]
-_Grid = tuple[jax.Array, jax.Array]
-_Result = tuple[jax.Array, jax.Array]
-
 
 def _flow(
-    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
-) -> _Result:
+    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
+) -> Result:
     inflow, s = inputs
     if config.flow.terms:
         return physics_terms.solve(parameters, inflow, s, weight, grid, config)
@@ -54,8 +51,8 @@ def _flow(
 
 
 def _temporal_flow(
-    parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
-) -> _Result:
+    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
+) -> Result:
     inflow, initial_flow = inputs
     return temporal_flow.solve(parameters, inflow, initial_flow, grid[1], config)
 
@@ -67,8 +64,12 @@ def _explicit(formula: Callable[..., jax.Array]) -> Model:
     """
 
     def model(
-        parameters: jax.Array, inputs: _Inputs, weight: jax.Array, grid: _Grid, config: PCNDEConfig
-    ) -> _Result:
+        parameters: jax.Array,
+        inputs: Inputs,
+        weight: jax.Array,
+        grid: GridArrays,
+        config: PCNDEConfig,
+    ) -> Result:
         return formula(parameters, *inputs, *grid, config), jnp.asarray(True)
 
     return model
@@ -81,24 +82,29 @@ class JaxEngine:
     lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self) -> None:
-        self.closures = JaxClosures()
-        self.flow = JaxStage[FlowInputs](
+        self.versions: Mapping[str, str] = {
+            name: version(name) for name in ("jax", "jaxlib", "diffrax")
+        }
+        self.closures: Closures = JaxClosures()
+        self.flow: Stage[FlowInputs] = JaxStage(
             _flow,
             ("flow", "physics"),
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
             case_by_case=lambda config: config.flow.steps is None,
         )
-        self.intermediate_area = JaxStage[IntermediateAreaInputs](
+        self.intermediate_area: Stage[IntermediateAreaInputs] = JaxStage(
             _explicit(area.intermediate), ("intermediate_area",), compared=area.last_cycle
         )
-        self.fourier_area = JaxStage[FourierAreaInputs](_explicit(area.fourier), ("fourier_area",))
-        self.temporal_pressure = JaxStage[TemporalPressureInputs](
+        self.fourier_area: Stage[FourierAreaInputs] = JaxStage(
+            _explicit(area.fourier), ("fourier_area",)
+        )
+        self.temporal_pressure: Stage[TemporalPressureInputs] = JaxStage(
             _explicit(pressure.temporal), ("temporal_pressure", "physics")
         )
-        self.spatial_pressure = JaxStage[SpatialPressureInputs](
+        self.spatial_pressure: Stage[SpatialPressureInputs] = JaxStage(
             _explicit(pressure.spatial), ("spatial_pressure", "physics")
         )
-        self.temporal_flow = JaxStage[TemporalFlowInputs](_temporal_flow, ("temporal_flow",))
+        self.temporal_flow: Stage[TemporalFlowInputs] = JaxStage(_temporal_flow, ("temporal_flow",))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a name: compiled functions cannot be pickled."""
@@ -119,17 +125,12 @@ class JaxEngine:
             vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
             z, period = jnp.asarray(grid.z), jnp.asarray(grid.period)
 
-            def compute(batch: _Inputs) -> tuple[_Inputs, jax.Array]:
+            def compute(batch: Inputs) -> tuple[Inputs, jax.Array]:
                 q, s, p, solved = fused_predict.predict(vectors, *batch, z, period, config=config)
                 return ((q, s) if p is None else (q, s, p)), solved
 
             flow_, area_, *pressure_ = in_batches(compute, (inflow, area_undeformed))
         return Solution(flow_, area_, pressure_[0] if pressure_ else None)
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Versions of the packages that compute."""
-        return {name: version(name) for name in ("jax", "jaxlib", "diffrax")}
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,22 +24,20 @@ InputsT = TypeVar("InputsT")
 _LARGEST_BATCH = 128
 
 
-class Model(Protocol):
-    """Equation of a stage for several cases."""
+Inputs = tuple[jax.Array, ...]
+"""Arrays of a stage's inputs, each of shape (case, ...)."""
 
-    def __call__(
-        self,
-        parameters: jax.Array,
-        inputs: tuple[jax.Array, ...],
-        weight: jax.Array,
-        grid: tuple[jax.Array, jax.Array],
-        config: PCNDEConfig,
-    ) -> tuple[jax.Array, jax.Array]:
-        """Return the prediction (case, time, z), and whether it, or each case, was solved.
+GridArrays = tuple[jax.Array, jax.Array]
+"""Points, cm, and period, s."""
 
-        ``weight`` (case,) is 0 for cases that only pad a batch.
-        """
-        ...
+Result = tuple[jax.Array, jax.Array]
+"""Prediction (case, time, z), and whether it, or each case, was solved."""
+
+Model = Callable[[jax.Array, Inputs, jax.Array, GridArrays, PCNDEConfig], Result]
+"""Equation of a stage, for parameters, inputs, weights, grid and configuration.
+
+The weights (case,) are 0 for cases that only pad a batch.
+"""
 
 
 class JaxStage(Generic[InputsT]):
@@ -90,8 +88,8 @@ class JaxStage(Generic[InputsT]):
         with double_precision():
             where, settings = _on_device(grid), self._relevant(config)
 
-            def compute(part: tuple[jax.Array, ...]) -> tuple[tuple[jax.Array], jax.Array]:
-                predicted, solved = self._solve(parameters, part, where, config=settings)
+            def compute(batch: Inputs) -> tuple[tuple[jax.Array], jax.Array]:
+                predicted, solved = self._solve(parameters, batch, where, config=settings)
                 return (predicted,), solved
 
             (result,) = in_batches(compute, arrays_of(inputs))
@@ -101,12 +99,7 @@ class JaxStage(Generic[InputsT]):
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        with double_precision():
-            data = _fit_data(inputs, target, grid)
-            loss, gradient = self._value_and_gradient(
-                jnp.asarray(parameters), *data, config=self._relevant(config)
-            )
-            return float(loss), np.array(gradient)
+        return self._objective(_fit_data(inputs, target, grid), config)(parameters)
 
     def losses(
         self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
@@ -131,15 +124,8 @@ class JaxStage(Generic[InputsT]):
         # Cases of weight 0 are retained, so that all selections share one compilation.
         with double_precision():
             arrays = tuple(jnp.asarray(a) for a in arrays_of(inputs))
-            weights, settings = jnp.asarray(weight, dtype=float), self._relevant(config)
-            data = arrays, weights, jnp.asarray(target), _on_device(grid)
-
-        def evaluate(parameters: Array) -> tuple[float, Array]:
-            with double_precision():
-                loss, gradient = self._value_and_gradient(parameters, *data, config=settings)
-                return float(loss), np.array(gradient)
-
-        return evaluate
+            data = arrays, jnp.asarray(weight, dtype=float), jnp.asarray(target), _on_device(grid)
+        return self._objective(data, config)
 
     def fit(
         self,
@@ -152,36 +138,39 @@ class JaxStage(Generic[InputsT]):
         on_iteration: OnIteration | None = None,
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
+        data, settings = _fit_data(inputs, target, grid), self._relevant(config)
         with double_precision():
-            data, settings = _fit_data(inputs, target, grid), self._relevant(config)
-
-            def value(x: Array) -> float:
-                return float(self._value(x, *data, config=settings))
-
-            def value_and_gradient(x: Array) -> tuple[float, Array]:
-                loss, gradient = self._value_and_gradient(x, *data, config=settings)
-                return float(loss), np.asarray(gradient)
-
             return minimize(
-                value, value_and_gradient, parameters, config.optimizer, iterations, on_iteration
+                lambda x: float(self._value(x, *data, config=settings)),
+                self._objective(data, config),
+                parameters,
+                config.optimizer,
+                iterations,
+                on_iteration,
             )
+
+    def _objective(self, data: tuple[Any, ...], config: PCNDEConfig) -> Objective:
+        settings = self._relevant(config)
+
+        def evaluate(parameters: Array) -> tuple[float, Array]:
+            with double_precision():
+                loss, gradient = self._value_and_gradient(parameters, *data, config=settings)
+                return float(loss), np.array(gradient)
+
+        return evaluate
 
     def _relevant(self, config: PCNDEConfig) -> PCNDEConfig:
         return PCNDEConfig(**{name: getattr(config, name) for name in self._depends_on})
 
     def _predict(
-        self,
-        parameters: jax.Array,
-        inputs: tuple[jax.Array, ...],
-        grid: tuple[jax.Array, jax.Array],
-        config: PCNDEConfig,
-    ) -> tuple[jax.Array, jax.Array]:
+        self, parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
+    ) -> Result:
         count = inputs[0].shape[0]
         if not self._case_by_case(config):
             predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
             return predicted, jnp.broadcast_to(solved, (count,))
 
-        def one(*case: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def one(*case: jax.Array) -> Result:
             batch_of_one = tuple(a[None] for a in case)
             predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
             return predicted[0], jnp.all(solved)
@@ -191,10 +180,10 @@ class JaxStage(Generic[InputsT]):
     def _loss(
         self,
         parameters: jax.Array,
-        inputs: tuple[jax.Array, ...],
+        inputs: Inputs,
         weight: jax.Array,
         target: jax.Array,
-        grid: tuple[jax.Array, jax.Array],
+        grid: GridArrays,
         config: PCNDEConfig,
     ) -> jax.Array:
         # In the step control every case with a positive weight counts alike.
@@ -208,10 +197,10 @@ class JaxStage(Generic[InputsT]):
     def _losses(
         self,
         parameters: jax.Array,
-        inputs: tuple[jax.Array, ...],
+        inputs: Inputs,
         weight: jax.Array,
         target: jax.Array,
-        grid: tuple[jax.Array, jax.Array],
+        grid: GridArrays,
         config: PCNDEConfig,
     ) -> jax.Array:
         """Return the loss of each row of parameters."""
@@ -258,17 +247,17 @@ def in_batches(
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
 
 
-def _on_device(grid: Grid) -> tuple[jax.Array, jax.Array]:
+def _on_device(grid: Grid) -> Result:
     return jnp.asarray(grid.z), jnp.asarray(grid.period)
 
 
 def _fit_data(inputs: Any, target: Array, grid: Grid) -> tuple[Any, ...]:
-    arrays = arrays_of(inputs)
-    count = target.shape[0]
-    weight = np.zeros(_rounded_up(count))
-    weight[:count] = 1
-    (padded_target,) = _padded((target,))
-    return _padded(arrays), jnp.asarray(weight), padded_target, _on_device(grid)
+    """Return padded inputs, weights and target, and the grid, as JAX arrays."""
+    weight = np.zeros(_rounded_up(len(target)))
+    weight[: len(target)] = 1
+    with double_precision():
+        (padded_target,) = _padded((target,))
+        return _padded(arrays_of(inputs)), jnp.asarray(weight), padded_target, _on_device(grid)
 
 
 def _rounded_up(count: int) -> int:

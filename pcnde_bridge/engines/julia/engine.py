@@ -17,6 +17,7 @@ from pcnde_bridge.engines.julia.closures import JuliaClosures
 from pcnde_bridge.engines.julia.runtime import running
 from pcnde_bridge.engines.julia.stage import JuliaStage
 from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import Closures, Stage
 from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.engines.types import (
     FlowInputs,
@@ -47,13 +48,18 @@ class JuliaEngine:
 
     def __init__(self) -> None:
         self._julia = julia = running()
-        self.closures = JuliaClosures(julia.call)
-        self.flow = JuliaStage[FlowInputs](julia, "flow")
-        self.intermediate_area = JuliaStage[IntermediateAreaInputs](julia, "intermediate_area")
-        self.fourier_area = JuliaStage[FourierAreaInputs](julia, "fourier_area")
-        self.temporal_pressure = JuliaStage[TemporalPressureInputs](julia, "temporal_pressure")
-        self.spatial_pressure = JuliaStage[SpatialPressureInputs](julia, "spatial_pressure")
-        self.temporal_flow = JuliaStage[TemporalFlowInputs](julia, "temporal_flow")
+        self.versions: Mapping[str, str] = julia.versions
+        self.closures: Closures = JuliaClosures(julia.call)
+        self.flow: Stage[FlowInputs] = JuliaStage(julia, "flow")
+        self.intermediate_area: Stage[IntermediateAreaInputs] = JuliaStage(
+            julia, "intermediate_area"
+        )
+        self.fourier_area: Stage[FourierAreaInputs] = JuliaStage(julia, "fourier_area")
+        self.temporal_pressure: Stage[TemporalPressureInputs] = JuliaStage(
+            julia, "temporal_pressure"
+        )
+        self.spatial_pressure: Stage[SpatialPressureInputs] = JuliaStage(julia, "spatial_pressure")
+        self.temporal_flow: Stage[TemporalFlowInputs] = JuliaStage(julia, "temporal_flow")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a name: Julia's functions cannot be pickled."""
@@ -95,11 +101,6 @@ class JuliaEngine:
 
         with contextlib.suppress(StopIteration):
             self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Versions of Julia and the packages that compute."""
-        return self._julia.versions()
 
 
 @cache

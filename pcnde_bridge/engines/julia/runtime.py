@@ -35,6 +35,8 @@ class Julia:
 
     Attributes
     ----------
+    versions : dict of str to str
+        Versions of Julia and the packages that compute.
     problem : object
         Identity of the objective whose data PCNDECore stores.
     """
@@ -55,13 +57,11 @@ class Julia:
         self._core = module.PCNDECore
         # Looking up a function's name takes as long as calling it.
         self._function = functools.lru_cache(functools.partial(getattr, self._core))
-        check_core(self.versions()["PCNDECore"], "running", project)
+        found = self.call("versions").items()
+        self.versions = {str(name): str(version) for name, version in found}
+        check_core(self.versions["PCNDECore"], "running", project)
         self._config = functools.lru_cache(maxsize=64)(self._new_config)
         self.problem: object = None
-
-    def versions(self) -> dict[str, str]:
-        """Return the versions of Julia and the packages that compute."""
-        return {str(name): str(version) for name, version in self.call("versions").items()}
 
     def call(self, name: str, *arguments: Any, in_place: Iterable[Array] = ()) -> Any:
         """Call one of PCNDECore's functions; arrays and settings are converted.

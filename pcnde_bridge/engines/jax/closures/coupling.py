@@ -156,9 +156,8 @@ def couple(
     settings : CorrectionClosure
         Hidden layers of the correction, and number of coupling passes.
     tolerance : float, optional
-        The passes end once the expected next change of Q(L) is smaller, relative to the
-        largest inflow; changes are expected to shrink as in the last pass.  Without it
-        all passes are run, as derivatives require.
+        The passes end once the next change of Q(L), if it shrinks as the last one did, is
+        smaller, relative to the largest inflow.  By default all are run, as derivatives require.
     """
     n_times = inflow.shape[0]
     i_omega = spectral_derivative(n_times, period, jnp)
@@ -180,8 +179,7 @@ def couple(
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
     linear = _linear_filling(total, with_rate[1], i_omega, mean_flow, mean_pressure)
-    middle = (jnp.max(shown) + jnp.min(shown)) / 2
-    solve = 1 / ((jnp.mean(shown) + middle) / 2 + kappa * linear)
+    solve = 1 / (_typical(shown) + kappa * linear)
 
     def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = signals(
@@ -192,7 +190,7 @@ def couple(
     def one_pass(harmonics: jax.Array) -> jax.Array:
         stored, pressure = state(harmonics)
         _, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
-        rates = volume_rates(tuple(pressure), mode_rates)
+        rates = _volume_rates(tuple(pressure), mode_rates)
         filling = reduce(jnp.add, (v * r for v, r in zip(total, rates, strict=True)))
         change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
         return change
@@ -202,7 +200,7 @@ def couple(
     harmonics, change = _iterate(one_pass, passive, n_times, settings.passes, settled)
     stored, pressure = state(harmonics)
     modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
-    rates = jnp.stack(volume_rates(tuple(pressure), mode_rates))
+    rates = jnp.stack(_volume_rates(tuple(pressure), mode_rates))
     p = pressure[0]
     return Coupled(
         jnp.concatenate([inflow[None], -kappa * (1 - g) * rates]),
@@ -221,6 +219,12 @@ def _impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
     omega = harmonic_frequencies(n_times, period, jnp)
     z: jax.Array = outlet_impedance(outlet[0], outlet[1], outlet[2], omega)
     return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
+
+
+def _typical(shown: jax.Array) -> jax.Array:
+    """Return ē from e(t)."""
+    middle = (jnp.max(shown) + jnp.min(shown)) / 2
+    return (jnp.mean(shown) + middle) / 2
 
 
 def _linear_filling(
@@ -276,7 +280,7 @@ def _iterate(
     return last[0], last[1]
 
 
-def volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
+def _volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return ∂/∂t of P, P² and the modes, 2 + k of (time,)."""
     p, p_rate = pressure
     return p_rate, 2 * p * p_rate, *mode_rates

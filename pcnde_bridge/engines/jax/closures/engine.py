@@ -32,9 +32,6 @@ __all__ = ["JaxClosures"]
 _BATCH = 64
 """Cases in one batch: their functions of time and of z fit into the processor's cache."""
 
-_BLOCK = 4096
-"""Cases whose vessels are in memory at a time."""
-
 _SETTLED = 1e-9
 """Expected change of the flow below which the passes end, relative to the largest inflow."""
 
@@ -49,7 +46,7 @@ class JaxClosures:
     """JAX implementation of :class:`pcnde_bridge.engines.protocol.Closures`."""
 
     def __init__(self) -> None:
-        # The vessels of the last block, with the arguments of their computation.
+        # The vessels of the last prediction, with the arguments of their computation.
         self._vessels: tuple[tuple[ClosureConfig | bytes, ...], VesselModes] | None = None
         self._buffers = Buffers()
 
@@ -95,34 +92,20 @@ class JaxClosures:
         settings, count = _relevant(config), len(inflow)
         shape = count, inflow.shape[1], grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
-        for start in range(0, count, _BLOCK):
-            block = slice(start, min(start + _BLOCK, count))
-            vessels, which = self._vessels_of(parameters, area_undeformed[block], grid, settings)
-            batches = [
-                slice(first, min(first + _BATCH, block.stop))
-                for first in range(block.start, block.stop, _BATCH)
-            ]
-            tasks = [
-                partial(
-                    _predict_batch,
-                    parameters,
-                    vessels,
-                    which[rows.start - start : rows.stop - start],
-                    (shift[rows], inflow[rows]),
-                    rows,
-                    grid,
-                    settings,
-                    result,
-                )
-                for rows in batches
-            ]
-            if len(tasks) == 1:
-                tasks[0]()
-                continue
+        vessels, which = self._vessels_of(parameters, area_undeformed, grid, settings)
+
+        def compute(start: int) -> None:
+            rows = slice(start, start + _BATCH)
+            cases = shift[rows], inflow[rows]
+            _predict_batch(parameters, vessels, which[rows], cases, rows, grid, settings, result)
+
+        if count <= _BATCH:
+            compute(0)
+        else:
             # One thread more than processors, because one usually waits for JAX.
             with ThreadPoolExecutor(max_workers=(os.cpu_count() or 1) + 1) as pool:
-                for finished in [pool.submit(task) for task in tasks]:
-                    finished.result()  # raises the batch's exception
+                # Reading the results raises the exception of a batch.
+                list(pool.map(compute, range(0, count, _BATCH)))
         return result
 
     def _vessels_of(
