@@ -71,6 +71,16 @@ def test_finds_the_minimum_and_says_so():
     assert (np.diff(fit.losses) <= 0).all()
 
 
+def test_convergence_on_the_last_iteration_is_reported():
+    def fit(iterations):
+        start = np.array([-1.2, 1.0])
+        return minimize(lambda x: rosenbrock(x)[0], rosenbrock, start, BFGS(), iterations)
+
+    needed = len(fit(500).losses) - 1
+    assert (fit(needed).converged, fit(needed).message) == (True, "gradient tolerance")
+    assert (fit(needed - 1).converged, fit(needed - 1).message) == (False, "all iterations done")
+
+
 def test_first_step_is_initial_step_norm_long():
     settings = BFGS(initial_step_norm=0.01)
     fit = minimize(lambda x: float(x @ x), lambda x: (float(x @ x), 2 * x), np.ones(3), settings, 1)

@@ -95,7 +95,7 @@ def test_predictions(both, inflow, solution):
         np.testing.assert_array_equal(one[0], all_[4])
 
 
-def test_an_odd_number_of_instants(both):
+def test_an_odd_number_of_time_points(both):
     time = 0.8 * np.arange(25) / 25
     grid = Grid(time, GRID.z, 0.8)
     found, expected = (

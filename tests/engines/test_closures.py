@@ -327,19 +327,19 @@ def corrected():
 
 
 @pytest.mark.parametrize("outlet", [OUTLET, np.array([2e4, 8e4, 2e-6, 5e3])])
-@pytest.mark.parametrize("instants", [32, 33])
-def test_inlet_flow_and_outlet_law_are_met(outlet, instants):
-    # Whatever an inflow holds: the highest harmonic of 32 instants is Nyquist's.
-    inflow = waves(np.arange(instants) / instants)[WAVEFORM]
+@pytest.mark.parametrize("n_times", [32, 33])
+def test_inlet_flow_and_outlet_law_are_met(outlet, n_times):
+    # Whatever an inflow holds: the highest harmonic of 32 time points is Nyquist's.
+    inflow = waves(np.arange(n_times) / n_times)[WAVEFORM]
     inflow += 0.05 * np.random.default_rng(7).normal(size=inflow.shape)
-    grid = Grid(np.arange(instants) / instants, Z, 1.0)
+    grid = Grid(np.arange(n_times) / n_times, Z, 1.0)
     found = solve(CORRECTED.replace(outlet=outlet), inflow, grid=grid)
     assert np.array_equal(found.flow[:, :, 0], inflow)
     r1, r2, compliance, distal = outlet
-    omega = 2 * np.pi * np.fft.rfftfreq(instants, 1 / instants)
+    omega = 2 * np.pi * np.fft.rfftfreq(n_times, 1 / n_times)
     impedance = r1 + r2 / (1 + 1j * omega * r2 * compliance)
     harmonics = np.fft.rfft(found.flow[:, :, -1], axis=1)
-    law = np.fft.irfft(harmonics * impedance, n=instants, axis=1) + distal
+    law = np.fft.irfft(harmonics * impedance, n=n_times, axis=1) + distal
     # The passes may end once Q(L) changes by less than 1e-4 of the largest inflow.
     allowed = 1e-4 * outlet[:2].sum() * INFLOW.max()
     assert np.abs(found.pressure[:, :, -1] - law).max() < allowed
@@ -370,7 +370,7 @@ def test_area_is_positive_periodic_and_clamped(corrected):
     assert corrected.area.min() > 0
     ends = corrected.area[:, :, [0, -1]]
     assert np.allclose(ends, AREA[:, None, [0, -1]], rtol=1e-14)
-    # Nothing jumps from the last instant to the first.
+    # Nothing jumps from the last time point to the first.
     inside = np.abs(np.diff(corrected.area, axis=1)).max()
     assert np.abs(corrected.area[:, 0] - corrected.area[:, -1]).max() <= inside
 
@@ -411,12 +411,12 @@ def test_straight_vessel_among_others_has_no_drop_but_friction_and_inertia():
     assert difference[4:].min() > 0.01 * dynamic
 
 
-def test_same_wave_on_other_instants_gives_the_same_answer(corrected):
+def test_same_waveform_on_other_time_points_gives_the_same_answer(corrected):
     count = 33  # odd: no harmonic at Nyquist's frequency
     time = np.arange(count) / count
     found = solve(CORRECTED, waves(time)[WAVEFORM], grid=Grid(time, Z, 1.0))
     for mine, theirs in zip(found[:3], corrected[:3], strict=True):
-        # Trigonometric interpolation, exact for the 15 harmonics that 32 instants resolve.
+        # Trigonometric interpolation, exact for the 15 harmonics that 32 time points resolve.
         spectrum = np.fft.rfft(mine, axis=1)[:, :16] / count
         expected = np.fft.rfft(theirs, axis=1)[:, :16] / 32
         # What the network's tanh adds above them is folded back: 1e-4 of the size.

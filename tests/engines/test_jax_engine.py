@@ -129,7 +129,7 @@ def test_intermediate_area_solves_continuity_over_three_cycles(
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
 
 
-def test_intermediate_area_is_what_tsit5_gives_with_a_step_for_each_instant(
+def test_intermediate_area_is_what_tsit5_gives_with_a_step_for_each_time_point(
     engine, grid, parameters, small_cases
 ):
     """The published code's solver, for one point of one case."""
@@ -190,17 +190,17 @@ def test_fourier_area_is_periodic_and_obeys_continuity(engine, grid, small_cases
     np.testing.assert_allclose(area[:, 0], small_cases.area[:, 0], rtol=1e-12)
 
 
-def test_temporal_pressure_is_the_network_at_each_instant(engine, grid, parameters, small_cases):
+def test_temporal_pressure_is_the_network_at_each_time_point(engine, grid, parameters, small_cases):
     inputs, _ = stage_case("temporal_pressure", small_cases)
     found = engine.temporal_pressure.solve(parameters.temporal_pressure, inputs, grid, PAPER)
-    case, instant = 8, 13
-    s, s_u = small_cases.area[case, instant], small_cases.area_undeformed[case]
-    q = small_cases.flow[case, instant]
+    case, t = 8, 13
+    s, s_u = small_cases.area[case, t], small_cases.area_undeformed[case]
+    q = small_cases.flow[case, t]
     drop = pressure_drop(q, s_u[0], s_u.min(), 0.5) / 133_322.0
     x = np.concatenate([s, s - s_u, drop, q])
     g = network(parameters.temporal_pressure, (84, 2, 2, 21), x)
     stiffness = 1.5e7 * 0.05 / np.sqrt(s_u[0] / np.pi)
-    np.testing.assert_allclose(found[case, instant], 1 + stiffness / 133_322.0 * g, rtol=1e-12)
+    np.testing.assert_allclose(found[case, t], 1 + stiffness / 133_322.0 * g, rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", ["continuous", "printed"])

@@ -116,7 +116,7 @@ def test_law_is_chosen_by_whether_the_ends_move(cases, local_cases):
 
 def test_correction_starts_from_the_cases(cases, corrected):
     found = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
-    # Central differences are 6 % off at the third harmonic of 32 instants.
+    # Central differences are 6 % off at the third harmonic of 32 time points.
     assert found[0] == pytest.approx(1.3, rel=0.06)
     assert found[1] < 0.06
     given = CONFIG.replace(correction={"storage": 1.3})
