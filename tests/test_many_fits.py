@@ -223,7 +223,7 @@ def test_damaged_ensembles_are_file_errors(ensemble, engine, tmp_path):
     ]
     for content in broken:
         write_archive(path, "pcnde-ensemble", 1, *content)
-        with pytest.raises(FileError, match=r"ensemble\.npz.* is not a whole"):
+        with pytest.raises(FileError, match=r"ensemble\.npz.* is not a complete"):
             Ensemble.load(path, engine)
 
 

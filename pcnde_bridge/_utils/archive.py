@@ -9,7 +9,7 @@ import contextlib
 import json
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,32 @@ def read_archive(
         if set(arrays) != set(facts.pop(_NAMES, arrays)):
             raise zipfile.BadZipFile("arrays are missing")
     return facts, arrays
+
+
+@contextlib.contextmanager
+def interpreting(where: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Turn errors caused by missing or inconsistent contents into a ``FileError``.
+
+    Parameters
+    ----------
+    where : path-like
+        Name of the file whose facts and arrays are used inside the block.
+    what : str
+        Kind of file in messages: ``"model"``, ``"checkpoint"``.
+
+    Raises
+    ------
+    FileError
+        If the block raises an error that such contents cause.
+    """
+    try:
+        yield
+    except FileError:
+        raise
+    except KeyError as error:
+        raise FileError(f"{where} is not a complete {what}: it lacks {error}.") from error
+    except (TypeError, ValueError, IndexError, OverflowError) as error:
+        raise FileError(f"{where} is not a complete {what}: {error}.") from error
 
 
 def archive_kind(path: str | os.PathLike[str]) -> str | None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.archive import archive_kind, read_archive
+from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, config_from
 from pcnde_bridge.data.cases import Cases
@@ -60,10 +60,8 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise FileError(f"{path} is not a file of pcnde_bridge.")
     version, kind = _FORMATS[file_format]
     facts, arrays = read_archive(path, file_format, version, kind)
-    try:
+    with interpreting(path, kind):
         return {"kind": kind, **_trained(kind, facts, arrays)}
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise FileError(f"{path} is not a whole {kind}: {error}.") from error
 
 
 def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -> dict[str, Any]:

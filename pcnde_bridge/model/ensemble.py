@@ -21,7 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.archive import archive_kind, read_archive, write_archive
+from pcnde_bridge._utils.archive import (
+    archive_kind,
+    interpreting,
+    read_archive,
+    write_archive,
+)
 from pcnde_bridge._utils.parallel import Outcome, Workers, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
@@ -30,7 +35,7 @@ from pcnde_bridge.data.splits import Positions, neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, TaskError
+from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
 from pcnde_bridge.model import predictor
 from pcnde_bridge.model.fit_task import (
     FitTask,
@@ -289,7 +294,7 @@ class Ensemble(predictor.Predictor):
             If the file is missing, truncated, foreign, or of a newer version.
         """
         facts, arrays = read_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, "ensemble")
-        try:
+        with interpreting(path, "ensemble"):
             members = [
                 PCNDE.from_archive(
                     member_facts,
@@ -301,8 +306,6 @@ class Ensemble(predictor.Predictor):
             ]
             calibration = Calibration(arrays["profile"], arrays["scale"])
             return cls(members, calibration, facts["provenance"])
-        except (KeyError, TypeError, InputError) as error:
-            raise FileError(f"{path} is not a whole ensemble: {error}.") from error
 
     def __repr__(self) -> str:
         """Return the number of members, and the first."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.files import reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge.config import PUBLISHED_CODE
 from pcnde_bridge.data.published import SHAPE
@@ -58,11 +59,8 @@ def _read(path: Path, size: int) -> Array:
             f"There is no {path.name} in {path.parent}. Give the folder of the authors' "
             "published weights (trained_weights)."
         )
-    try:
-        with h5py.File(path, "r") as file:
-            vector = np.asarray(read_dataset(file, "p"), dtype=np.float64)
-    except Exception as error:  # damaged bytes can make the reader raise nearly anything
-        raise FileError(f"{path} is not a file of published weights: {error}") from error
+    with reading(path, "a file of published weights"), h5py.File(path, "r") as file:
+        vector = np.asarray(read_dataset(file, "p"), dtype=np.float64)
     if vector.shape != (size,) or not np.isfinite(vector).all():
         raise FileError(
             f"{path} should hold {size} finite numbers, but has the shape {vector.shape}."

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.archive import interpreting
 from pcnde_bridge.config import config_from
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.errors import FileError
 from pcnde_bridge.model.kinds import AnyParameters, Config, kind_of
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
@@ -69,7 +69,7 @@ def from_archive(
     FileError
         If a part is missing, or the parts do not fit together.
     """
-    try:
+    with interpreting(where, "model"):
         config = config_from(facts["config"])
         kind = kind_of(config)
         content = Content(
@@ -84,8 +84,6 @@ def from_archive(
         kind.check(config, content.parameters, content.grid, content.uncertainty)
         if content.novelty is not None:
             content.novelty.check()
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise FileError(f"{where} is not a whole model: {error}.") from error
     return content
 
 

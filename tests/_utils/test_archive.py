@@ -11,7 +11,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
 from pcnde_bridge.errors import FileError
 
 KIND, VERSION = "pcnde-thing", 3
@@ -260,3 +260,27 @@ def test_a_failed_write_leaves_the_old_file(path, monkeypatch):
     monkeypatch.undo()
     assert is_whole(*read(path))
     assert os.listdir(path.parent) == [path.name]  # noqa: PTH208
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (KeyError("time"), "it lacks 'time'"),
+        (ValueError("too long"), "too long"),
+        (TypeError("no number"), "no number"),
+        (IndexError("out of range"), "out of range"),
+        (OverflowError("too large"), "too large"),
+    ],
+)
+def test_contents_that_do_not_fit_are_an_error_of_the_file(error, reason):
+    with (
+        pytest.raises(FileError, match=f"^f.npz is not a complete thing: {reason}.$") as caught,
+        interpreting("f.npz", "thing"),
+    ):
+        raise error
+    assert caught.value.__cause__ is error
+
+
+def test_an_error_of_a_file_is_not_wrapped_again():
+    with pytest.raises(FileError, match=r"^a\.npz is damaged$"), interpreting("b.npz", "thing"):
+        raise FileError("a.npz is damaged")
