@@ -49,7 +49,7 @@ from pcnde_bridge.io.input_tables import read_columns
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.published_weights import FILES as WEIGHTS
 from pcnde_bridge.model.published_weights import read_published_weights
-from pcnde_bridge.training.trainer import Trainer
+from pcnde_bridge.training.trainer import Trainer, staged_training
 
 FIELDS = ("flow", "area", "pressure")
 REFUSED = FileError, InputError
@@ -74,7 +74,7 @@ def good(tmp_path_factory, small_cases, small_config):
     grid = few.grid
     parameters = initial_parameters(small_config, few.n_times, few.n_points, 0)
     PCNDE(small_config, parameters, grid, engine).save(folder / "model.npz")
-    Trainer(few, small_config, engine, folder / "run.checkpoint").start(0)
+    Trainer(staged_training(few, small_config, engine), folder / "run.checkpoint").start(0)
     (folder / "config.json").write_text(json.dumps(small_config.to_dict()))
     (folder / "split.json").write_text('{"train": [[1, 0], [1, 1]], "test": [[2, 1]]}')
     for name, axis, values in (
@@ -724,7 +724,8 @@ def test_fuzz(kind, good, readers, tmp_path_factory, small_cases, small_config, 
 
         def read(path):
             cases = small_cases.select([0, 1, 5])
-            return Trainer(cases, small_config, select_engine("jax"), path).start(0)
+            procedure = staged_training(cases, small_config, select_engine("jax"))
+            return Trainer(procedure, path).start(0)
 
     try:
         read(path)

@@ -262,7 +262,7 @@ class FullBatch(Section):
         the lowest loss (or validation error, if there is a validation set) continues.
     mean_flow : {'area', 'data'}
         Source of the mean over the cycle of the flow's target: consistent with the
-        reference area (:func:`pcnde_bridge.training.full_batch.balanced_flow`), or the mean
+        reference area (:func:`pcnde_bridge.training.flow_fit.balanced_flow`), or the mean
         of the reference flow.
     amplitude_exponent : float
         The squared flow errors of a case are weighted by the range of its inflow to the

@@ -21,13 +21,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.errors import InputError
+
+ArrayT = TypeVar("ArrayT", bound=Any)  # array of numpy or JAX
 
 PRESSURE_STAGES = ("temporal_pressure", "spatial_pressure")
 """Names of the stages that are trained after flow and area."""
@@ -71,6 +73,25 @@ def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
 def network_size(widths: Sequence[int]) -> int:
     """Count the weights and biases of a network with layers of the given widths."""
     return sum((n_in + 1) * n_out for n_in, n_out in pairwise(widths))
+
+
+def unpack_network(parameters: ArrayT, widths: Sequence[int]) -> list[tuple[ArrayT, ArrayT]]:
+    """Return the weights, transposed to (in, out), and the bias of every layer.
+
+    Parameters
+    ----------
+    parameters : array of shape (size,)
+        Parameters of a network, a numpy or a JAX array.
+    widths : sequence of int
+        Widths of the layers from input to output.
+    """
+    layers, start = [], 0
+    for n_in, n_out in pairwise(widths):
+        end = start + n_in * n_out
+        weights = parameters[start:end].reshape(n_in, n_out)
+        start = end + n_out
+        layers.append((weights, parameters[end:start]))
+    return layers
 
 
 @dataclass(frozen=True, eq=False)

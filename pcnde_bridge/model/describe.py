@@ -20,13 +20,13 @@ from pcnde_bridge.model.serialization import (
     MODEL_VERSION,
     with_prefix,
 )
-from pcnde_bridge.training import closure_trainer, trainer
+from pcnde_bridge.training import closure_training, staged_training
 
 _FORMATS = {
     MODEL_FORMAT: (MODEL_VERSION, "model"),
     ENSEMBLE_FORMAT: (ENSEMBLE_VERSION, "ensemble"),
-    trainer.FORMAT: (trainer.FORMAT_VERSION, "checkpoint"),
-    closure_trainer.FORMAT: (closure_trainer.FORMAT_VERSION, "checkpoint"),
+    staged_training.FORMAT: (staged_training.FORMAT_VERSION, "checkpoint"),
+    closure_training.FORMAT: (closure_training.FORMAT_VERSION, "checkpoint"),
 }
 
 

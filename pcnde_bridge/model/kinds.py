@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -28,10 +28,12 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs
-from pcnde_bridge.training import recipes
-from pcnde_bridge.training.closure_trainer import ClosureState, ClosureTrainer
-from pcnde_bridge.training.history import Iteration, OnRecord
-from pcnde_bridge.training.trainer import Trainer, TrainingState
+from pcnde_bridge.training.closure_training import ClosureTraining
+from pcnde_bridge.training.history import Iteration, OnIteration
+from pcnde_bridge.training.procedure import Procedure
+from pcnde_bridge.training.staged_training import StagedTraining
+from pcnde_bridge.training.state import ClosureState, TrainingState
+from pcnde_bridge.training.trainer import Trainer, staged_training
 from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
 
 Config = PCNDEConfig | ClosureConfig
@@ -60,7 +62,6 @@ class Kind(ABC):
     any_grid: ClassVar[bool]
     _parameters: ClassVar[type[AnyParameters]]
     _names: ClassVar[tuple[str, ...]]
-    _trainer: ClassVar[Callable[..., Any]]
 
     def train(
         self,
@@ -69,11 +70,11 @@ class Kind(ABC):
         engine: Engine,
         seed: int,
         checkpoint: str | os.PathLike[str] | None,
-        progress: bool | OnRecord,
+        progress: bool | OnIteration,
     ) -> Trained:
         """Train from the start or from the checkpoint; see :meth:`pcnde_bridge.PCNDE.fit`."""
-        trainer = self._trainer(cases, config, engine, checkpoint)
-        return self._result(trainer, recipes.run(trainer, seed, progress))
+        procedure = self._procedure(cases, config, engine)
+        return self._result(procedure, Trainer(procedure, checkpoint).fit(seed, progress))
 
     @abstractmethod
     def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
@@ -134,7 +135,10 @@ class Kind(ABC):
         self._check_vectors(config, parameters, grid, uncertainty)
 
     @abstractmethod
-    def _result(self, trainer: Any, state: Any) -> Trained: ...
+    def _procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]: ...
+
+    @abstractmethod
+    def _result(self, procedure: Any, state: Any) -> Trained: ...
 
     @abstractmethod
     def _check_vectors(
@@ -144,12 +148,15 @@ class Kind(ABC):
 
 class _Staged(Kind):
     any_grid = False
-    _parameters, _names, _trainer = Parameters, STAGES, Trainer
+    _parameters, _names = Parameters, STAGES
 
-    def _result(self, trainer: Trainer, state: TrainingState) -> Trained:
+    def _procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> StagedTraining:
+        return staged_training(cases, config, engine)
+
+    def _result(self, procedure: StagedTraining, state: TrainingState) -> Trained:
         batches = [[int(i) for i in batch] for batch in state.batches]
         facts = {"seconds": state.seconds, "batches": batches}
-        return Trained(trainer.config, state.parameters, None, state.history, facts)
+        return Trained(procedure.config, state.parameters, None, state.history, facts)
 
     def predict(
         self, engine: Engine, config: PCNDEConfig, parameters: Parameters, inputs: Inputs
@@ -175,11 +182,14 @@ class _Staged(Kind):
 
 class _Closures(Kind):
     any_grid = True
-    _parameters, _names, _trainer = ClosureParameters, CLOSURES, ClosureTrainer
+    _parameters, _names = ClosureParameters, CLOSURES
 
-    def _result(self, trainer: ClosureTrainer, state: ClosureState) -> Trained:
+    def _procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> ClosureTraining:
+        return ClosureTraining(cases, config, engine)
+
+    def _result(self, procedure: ClosureTraining, state: ClosureState) -> Trained:
         facts = {"seconds": state.seconds}
-        return Trained(trainer.config, state.parameters, state.uncertainty, state.history, facts)
+        return Trained(procedure.config, state.parameters, state.uncertainty, state.history, facts)
 
     def predict(
         self, engine: Engine, config: ClosureConfig, parameters: ClosureParameters, inputs: Inputs

@@ -194,7 +194,7 @@ class PCNDE(predictor.Predictor):
 
     @property
     def history(self) -> pd.DataFrame:
-        """Iterations of the fit: stage, epoch, batch, iteration, loss, seconds."""
+        """Iterations of the fit: stage, epoch, batch, iteration, loss, seconds, outcome."""
         return histories.to_frame(self._history)
 
     @property

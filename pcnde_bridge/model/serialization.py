@@ -43,7 +43,7 @@ def to_archive(content: Content) -> tuple[dict[str, Any], dict[str, npt.NDArray[
         "time": content.grid.time,
         "z": content.grid.z,
         "period": np.array(content.grid.period),
-        "history": histories.to_array(content.history),
+        **histories.to_arrays(content.history),
         **dict(content.parameters),
     }
     for prefix, part in (("uncertainty", content.uncertainty), ("novelty", content.novelty)):
@@ -77,7 +77,7 @@ def from_archive(
             kind.read_parameters(arrays),
             Grid(arrays["time"], arrays["z"], float(arrays["period"])),
             dict(facts["provenance"]),
-            tuple(histories.from_array(arrays["history"])),
+            histories.from_arrays(arrays),
             _optional_part(Uncertainty, "uncertainty", arrays),
             _optional_part(Novelty, "novelty", arrays),
         )

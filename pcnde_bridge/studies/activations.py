@@ -7,11 +7,11 @@ fitted again; the results equal those of a whole fit with that activation.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.parallel import Workers, each
@@ -24,7 +24,7 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.studies._shared import staged_parts
-from pcnde_bridge.training.trainer import Trainer, TrainingState, plan
+from pcnde_bridge.training.trainer import Trainer, staged_training
 
 ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
 """Activation functions of the paper, in its order."""
@@ -109,12 +109,12 @@ def fit_pressure(
 
     The result equals that of a whole fit with this seed and the same flow and area.
     """
-    first = TrainingState.start(train, config, seed)
-    fresh = {stage: getattr(first.parameters, stage) for stage in PRESSURE_STAGES}
-    before = sum(unit.work not in PRESSURE_STAGES for unit in plan(config, len(first.batches)))
-    state = TrainingState(seed, first.batches, parameters.replace(**fresh), finished=before)
-    with threadpool_limits(1, user_api="blas"):  # as in a whole fit
-        return Trainer(train, config, engine).run(state).parameters
+    procedure = staged_training(train, config, engine)
+    state = procedure.start(seed)
+    fresh = {stage: getattr(state.parameters, stage) for stage in PRESSURE_STAGES}
+    before = sum(step.task not in PRESSURE_STAGES for step in procedure.steps(state))
+    state = replace(state, parameters=parameters.replace(**fresh), finished=before)
+    return Trainer(procedure).complete(state, progress=False).parameters
 
 
 def _fit_and_measure(

@@ -7,14 +7,12 @@ In space, the equation itself makes Q a smooth function of z.
 
 from __future__ import annotations
 
-import dataclasses
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array
@@ -26,6 +24,7 @@ from pcnde_bridge.config import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_grid
+from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.engines import EngineName, select_engine
 from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.engines.protocol import Engine, Stage
@@ -33,11 +32,13 @@ from pcnde_bridge.engines.staged import solve_area, undeformed
 from pcnde_bridge.engines.types import FlowInputs, IntermediateAreaInputs, TemporalFlowInputs
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
-from pcnde_bridge.training import full_batch as all_at_once
 from pcnde_bridge.training import history as histories
+from pcnde_bridge.training import minibatch
+from pcnde_bridge.training.area_fit import fit_area
 from pcnde_bridge.training.history import Iteration, Recorder
-from pcnde_bridge.training.progress import listening
-from pcnde_bridge.training.trainer import TrainingState
+from pcnde_bridge.training.procedure import Procedure, Step
+from pcnde_bridge.training.state import RunState
+from pcnde_bridge.training.trainer import Session, Trainer, training_session
 
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
 
@@ -184,21 +185,20 @@ def compare_formulations(
         check_grid(train.grid, test.grid, "train")
     chosen = select_engine(engine)
     sets = {"train": train} if test is None else {"train": train, "test": test}
-    batches = TrainingState.start(train, config.replace(training="minibatch"), seed).batches
-    stages = {name: _Trained(name, train, config, chosen, seed) for name in formulations}
-    total = len(batches) * sum(s.epochs * s.iterations for s in stages.values())
+    procedures = {name: _FormulationTraining(name, train, config, chosen) for name in formulations}
+    starts = {name: procedure.start(seed) for name, procedure in procedures.items()}
+    total = sum(p.count_iterations(starts[name]) for name, p in procedures.items())
 
     outcomes: dict[str, str] = {}
     frames = []
     # What the true flow gives: the equations' own errors.
     results = _results("truth", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
-    with listening(progress, total) as on_record:
-        for name, stage in stages.items():
-            recorder = Recorder(time.perf_counter(), on_record)
-            outcomes[name] = stage.fit(batches, recorder)
-            frames.append(histories.to_frame(recorder.iterations).assign(formulation=name))
+    with training_session(progress, total) as session:
+        for name, procedure in procedures.items():
+            state, outcomes[name] = procedure.train(starts[name], session)
+            frames.append(histories.to_frame(state.history).assign(formulation=name))
             try:
-                flows = {part: stage.solve(cases) for part, cases in sets.items()}
+                flows = {part: procedure.solve(state, cases) for part, cases in sets.items()}
             except SolveError as error:
                 outcomes[name] = f"diverged: {error}"
                 flows = {part: np.full_like(cases.flow, np.nan) for part, cases in sets.items()}
@@ -207,52 +207,78 @@ def compare_formulations(
     return FormulationStudy(sets, results, outcomes, history)
 
 
-class _Trained:
-    """One formulation's stage, settings and parameters."""
+@dataclass(frozen=True, kw_only=True)
+class _FormulationState(RunState):
+    """State of a formulation's training: the batches and the network's parameters."""
 
-    def __init__(
-        self, name: Formulation, train: Cases, config: PCNDEConfig, engine: Engine, seed: int
-    ) -> None:
-        self._train, self._in_space = train, name == "spatial"
-        self._config = config.replace(temporal_flow={"time_input": name == "temporal_with_time"})
+    batches: tuple[Positions, ...]
+    parameters: Array
+
+
+class _FormulationTraining(Procedure[_FormulationState]):
+    """Training procedure of one formulation: BFGS on every batch in every epoch."""
+
+    config: PCNDEConfig
+
+    def __init__(self, name: Formulation, cases: Cases, config: PCNDEConfig, engine: Engine):
+        self.cases, self.engine, self._in_space = cases, engine, name == "spatial"
+        self.config = config.replace(temporal_flow={"time_input": name == "temporal_with_time"})
         self._stage: Stage[Any] = engine.flow if self._in_space else engine.temporal_flow
-        self._grid = train.grid
-        settings = config.flow if self._in_space else config.temporal_flow
-        self.epochs, self.iterations = settings.epochs, settings.iterations
+        self._settings = config.flow if self._in_space else config.temporal_flow
+
+    def start(self, seed: int) -> _FormulationState:
+        """Return the state with seeded batches and parameters."""
+        cases, config = self.cases, self.config
         if self._in_space:
-            first = initial_parameters(config, train.n_times, train.n_points, seed).flow
+            first = initial_parameters(config, cases.n_times, cases.n_points, seed).flow
         else:
-            first = initial_temporal_flow(self._config, train.n_points, seed)
-        self.parameters = first
+            first = initial_temporal_flow(config, cases.n_points, seed)
+        batches = minibatch.divide(cases, config, seed)
+        return _FormulationState(seed=seed, batches=batches, parameters=first)
+
+    def steps(self, state: _FormulationState) -> list[Step]:
+        """Return one step for each epoch and batch."""
+        epochs, batches = range(1, self._settings.epochs + 1), range(1, len(state.batches) + 1)
+        return [Step("flow", epoch, batch) for epoch in epochs for batch in batches]
+
+    def count_iterations(self, state: _FormulationState) -> int:
+        """Count the iterations of all steps, if no fit ends early."""
+        return len(self.steps(state)) * self._settings.iterations
+
+    def fit(self, step: Step, state: _FormulationState, recorder: Recorder) -> _FormulationState:
+        """Return the state with the network fitted to a batch."""
+        optimize = partial(
+            minibatch.fit_batch,
+            self._stage,
+            state.parameters,
+            self._inputs(self.cases),
+            self.cases.flow,
+            state.batches[step.batch - 1],
+            self.cases.grid,
+            self.config,
+            self._settings.iterations,
+        )
+        return replace(state, parameters=recorder.run(*step, optimize))
+
+    def train(self, state: _FormulationState, session: Session) -> tuple[_FormulationState, str]:
+        """Run all steps, or until the equation diverges; return the state and the outcome."""
+        trainer = Trainer(self, None, *session)
+        for number, step in enumerate(self.steps(state), 1):
+            try:
+                state = trainer.run(state, until=number)
+            except SolveError:
+                return state, f"diverged in epoch {step.epoch}, batch {step.batch}"
+        return state, "trained"
+
+    def solve(self, state: _FormulationState, cases: Cases) -> Array:
+        """Return Q (case, time, z), mL/s, of any cases on the same grid."""
+        inputs = self._inputs(cases)
+        return self._stage.solve(state.parameters, inputs, self.cases.grid, self.config)
 
     def _inputs(self, cases: Cases) -> FlowInputs | TemporalFlowInputs:
         if self._in_space:
             return FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
         return TemporalFlowInputs(cases.inflow, cases.flow[:, 0])
-
-    def fit(self, batches: tuple[npt.NDArray[np.int64], ...], recorder: Recorder) -> str:
-        """Train on all batches, all epochs; say how it ended."""
-        inputs = self._inputs(self._train)
-        for epoch in range(1, self.epochs + 1):
-            for number, batch in enumerate(batches, 1):
-                arrays = {k: v[batch] for k, v in vars(inputs).items()}
-                try:
-                    self.parameters = self._stage.fit(
-                        self.parameters,
-                        dataclasses.replace(inputs, **arrays),
-                        self._train.flow[batch],
-                        self._grid,
-                        self._config,
-                        self.iterations,
-                        recorder("flow", epoch, number),
-                    ).parameters
-                except SolveError:
-                    return f"diverged in epoch {epoch}, batch {number}"
-        return "trained"
-
-    def solve(self, cases: Cases) -> Array:
-        """Q of any cases on the same grid."""
-        return self._stage.solve(self.parameters, self._inputs(cases), self._grid, self._config)
 
 
 def _results(
@@ -268,7 +294,7 @@ def _results(
     uncorrected = np.repeat([1.0, 0.0], train.n_points)
     parameters = initial_parameters(config, train.n_times, train.n_points, 0)
     if np.isfinite(flows["train"]).all():
-        intermediate, fourier = all_at_once.fit_area(flows["train"], train, engine, config)
+        intermediate, fourier = fit_area(flows["train"], train, engine, config)
         parameters = parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
     results = {}
     for part, cases in sets.items():

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -37,12 +37,9 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.progress import listening
-from pcnde_bridge.training.trainer import (
-    Trainer,
-    TrainingState,
-    plan,
-)
+from pcnde_bridge.training.staged_training import StagedTraining
+from pcnde_bridge.training.state import TrainingState
+from pcnde_bridge.training.trainer import Session, Trainer, staged_training, training_session
 
 Moment = Literal["initial", "coupled"]
 
@@ -307,29 +304,22 @@ def explore_landscapes(
         raise InputError("right_hand_sides is empty: name at least one, such as 'network': ().")
     whole("seed", seed)
     chosen = select_engine(engine)
-    start = TrainingState.start(cases, config, seed)
-    units = [unit.work for unit in plan(config, len(start.batches))]
-    first_coupling = units.index("coupling") + 1
-    all_of_flow = units.index("temporal_pressure")
+    procedure = staged_training(cases, config, chosen)
+    start = procedure.start(seed)
+    tasks = [step.task for step in procedure.steps(start)]
+    first_coupling = tasks.index("coupling") + 1
+    flow_and_area = tasks.index("temporal_pressure")
     iterations = len(start.batches) * config.flow.epochs * config.flow.iterations
 
     landscapes: list[Landscape] = []
     outcomes: dict[str, str] = {}
     frames: list[pd.DataFrame] = []
-    with listening(progress, iterations * len(right_hand_sides)) as on_record:
+    with training_session(progress, iterations * len(right_hand_sides)) as session:
         for name, terms in right_hand_sides.items():
-            settings = config.replace(flow={"terms": terms})
-            records = _Records(on_record)
-            trainer = Trainer(cases, settings, chosen, on_record=records)
-            draw = partial(
-                _draw,
-                name,
-                trainer=trainer,
-                cases=cases,
-                engine=chosen,
-                config=settings,
-                grid={"amplitude": amplitude, "points": points, "seed": seed},
-            )
+            procedure = staged_training(cases, config.replace(flow={"terms": terms}), chosen)
+            records = _Records(session)
+            trainer = Trainer(procedure, None, records.on_iteration, records.on_fit_end)
+            draw = partial(_draw, name, procedure, amplitude=amplitude, points=points, seed=seed)
             try:
                 try:
                     state = trainer.run(start, until=1)
@@ -339,51 +329,57 @@ def explore_landscapes(
                 landscapes.append(draw("initial", state))
                 state = trainer.run(state, until=first_coupling)
                 landscapes.append(draw("coupled", state))
-                trainer.run(state, until=all_of_flow)
+                trainer.run(state, until=flow_and_area)
                 outcomes[name] = "trained"
             except SolveError:
-                outcomes[name] = _where(records.kept)
-            frames.append(histories.to_frame(records.kept).assign(right_hand_side=name))
+                outcomes[name] = _where(records.iterations)
+            frames.append(histories.to_frame(records.iterations).assign(right_hand_side=name))
     return LandscapeStudy(tuple(landscapes), outcomes, pd.concat(frames, ignore_index=True))
 
 
 class _Records:
-    """Keeps the iterations, and passes the flow's on, which the progress counts."""
+    """All iterations; those of the flow, which the progress counts, are passed on."""
 
-    def __init__(self, listener: Callable[[Iteration], None] | None) -> None:
-        self.kept: list[Iteration] = []
-        self._listener = listener
+    def __init__(self, session: Session) -> None:
+        self.iterations: list[Iteration] = []
+        self._session = session
 
-    def __call__(self, record: Iteration) -> None:
-        self.kept.append(record)
-        if self._listener is not None and record.stage == "flow":
-            self._listener(record)
+    def on_iteration(self, iteration: Iteration) -> None:
+        self.iterations.append(iteration)
+        if iteration.stage == "flow":
+            self._session.on_iteration(iteration)
+
+    def on_fit_end(self, outcome: str) -> None:
+        if self.iterations and not self.iterations[-1].outcome:
+            self.iterations[-1] = self.iterations[-1]._replace(outcome=outcome)
+        self._session.on_fit_end(outcome)
 
 
 def _draw(
     name: str,
+    procedure: StagedTraining,
     moment: Moment,
     state: TrainingState,
     *,
-    trainer: Trainer,
-    cases: Cases,
-    engine: Engine,
-    config: PCNDEConfig,
-    grid: Mapping[str, Any],
+    amplitude: float,
+    points: int,
+    seed: int,
 ) -> Landscape:
-    """Landscape of the first batch, with the area that the network now sees."""
-    area, batch = trainer.coupled_area(state), state.batches[0]
+    """Return the landscape of the first batch, with the area that the network then sees."""
+    cases, area, batch = procedure.cases, procedure.coupled_area(state), state.batches[0]
     losses = loss_landscape(
-        engine,
+        procedure.engine,
         state.parameters.flow,
         FlowInputs(cases.inflow[batch], area[batch]),
         cases.flow[batch],
         cases.grid,
-        config,
-        **grid,
+        procedure.config,
+        amplitude=amplitude,
+        points=points,
+        seed=seed,
     )
     error = relative_error(compared("area", area), compared("area", cases.area))
-    return Landscape(name, moment, amplitudes(grid["amplitude"], grid["points"]), losses, error)
+    return Landscape(name, moment, amplitudes(amplitude, points), losses, error)
 
 
 def _where(records: list[Iteration]) -> str:

@@ -1,8 +1,8 @@
-"""What a way to train the paper's stages is: its units of work, and how it fits a stage."""
+"""Interface between the training of the paper's stages and an algorithm that fits them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
@@ -10,60 +10,61 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.training.history import Recorder
-
-if TYPE_CHECKING:
-    from pcnde_bridge.training.trainer import TrainingState
-
-
-class Unit(NamedTuple):
-    """A unit of work: ``"flow"``, ``"coupling"`` or a pressure stage."""
-
-    work: str
-    epoch: int
-    batch: int
+from pcnde_bridge.training.procedure import Step
+from pcnde_bridge.training.state import TrainingState
 
 
 class StageFit(NamedTuple):
-    """A stage that a unit of work asks to be fitted to all cases.
+    """Fit of one stage, as a training step asks for it.
 
     Attributes
     ----------
     stage : str
-        Its name.
-    unit : Unit
-        Of the work.
+        Name of the stage.
+    step : Step
+        Training step that asks.
     state : TrainingState
-        With the parameters before.
+        State before the step.
     inputs, target
-        Of the engine's stage: what it takes, and the data, (case, time, z).
-    cases, engine, config
-        Of the run.
-    record : Recorder
-        Of the iterations.
+        Inputs of the engine's stage and reference data, (case, time, z), for all cases.
+    cases, config, engine
+        Training cases, settings and compute engine.
+    recorder : Recorder
+        Receives the iterations.
     """
 
     stage: str
-    unit: Unit
+    step: Step
     state: TrainingState
     inputs: Any
     target: Array
     cases: Cases
-    engine: Engine
     config: PCNDEConfig
-    record: Recorder
+    engine: Engine
+    recorder: Recorder
+
+    @property
+    def start(self) -> Array:
+        """Parameters of the stage before the fit."""
+        start: Array = getattr(self.state.parameters, self.stage)
+        return start
 
 
 class Algorithm(Protocol):
-    """Training procedure, such as :mod:`pcnde_bridge.training.minibatch`."""
+    """Algorithm that fits the paper's stages, such as :mod:`pcnde_bridge.training.minibatch`."""
 
     def divide(self, cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
-        """Positions of the cases in every batch."""
+        """Return the positions of the cases in every batch."""
 
-    def plan(self, config: PCNDEConfig, n_batches: int) -> list[Unit]:
-        """All units of a run, in order."""
+    def plan(self, config: PCNDEConfig, n_batches: int) -> list[Step]:
+        """Return all steps of a run, in order.
+
+        The tasks are ``"flow"``, ``"coupling"`` (both area stages), ``"temporal_pressure"``
+        and ``"spatial_pressure"``.
+        """
 
     def count_iterations(self, config: PCNDEConfig, n_batches: int) -> int:
-        """Count the iterations of all stages, if no fit ends early."""
+        """Count the iterations of all steps, if no fit ends early."""
 
     def fit(self, wanted: StageFit) -> Array:
-        """Return the stage's new parameters."""
+        """Return the new parameters of a stage."""

@@ -1,19 +1,21 @@
-"""What happened in training: one record for every iteration of the optimizer."""
+"""History of a training run: one record for every iteration of the optimizer."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
+from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.engines.closure_parameters import CLOSURES
 from pcnde_bridge.engines.parameters import STAGES
+from pcnde_bridge.engines.types import Fit
+from pcnde_bridge.engines.types import OnIteration as OnLoss
 
-# Files keep a stage as its place in this order.
+# Files store a stage as its position in this order.
 _ORDER = (*STAGES, *CLOSURES)
 
 
@@ -25,13 +27,17 @@ class Iteration(NamedTuple):
     stage : str
         One of the paper's five stages, or a closure of the ``physics`` preset.
     epoch, batch, iteration : int
-        Counted from 1; the pressure stages have epoch and batch 1.  Of preset ``fast``
-        the epoch is the round, and the batch of the flow the start, then the equation.
+        Counted from 1; the pressure stages have epoch and batch 1.  With preset ``fast`` the
+        epoch is the round, and the batch numbers the flow's fits: one for each start on the
+        reference flow, then those through the equation.
     loss : float
-        After the iteration: mL²/s² for flow (in the mean), cm⁴ for area,
-        p_ref² for pressure.
+        Loss after the iteration: mL²/s² for flow (in the mean), cm⁴ for area, p_ref² for
+        pressure; closures have the relative squared error.
     seconds : float
-        Since training began, over all runs that a checkpoint joins.
+        Time since training began, over all runs that a checkpoint joins.
+    outcome : str
+        At the last iteration of a fit, how it ended, such as ``"converged: gradient
+        tolerance"`` or ``"stopped: all iterations done"``; empty before.
     """
 
     stage: str
@@ -40,46 +46,101 @@ class Iteration(NamedTuple):
     iteration: int
     loss: float
     seconds: float
+    outcome: str = ""
 
 
-OnRecord = Callable[[Iteration], None]
-"""Called with every iteration as it comes."""
+OnIteration = Callable[[Iteration], None]
+"""Callback with every iteration; it may raise to stop."""
+
+_NUMBERS = Iteration._fields[:-1]
 
 
 def to_frame(history: Sequence[Iteration]) -> pd.DataFrame:
-    """History as a frame with one row for every iteration."""
+    """Return the history as a frame with one row for every iteration."""
     return pd.DataFrame(list(history), columns=list(Iteration._fields))
 
 
-def to_array(history: Sequence[Iteration]) -> npt.NDArray[np.float64]:
-    """History as numbers, (iteration, field); the stage as its place in the order."""
-    rows = [(_ORDER.index(r.stage), *r[1:]) for r in history]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(Iteration._fields))
+def to_arrays(history: Sequence[Iteration]) -> dict[str, AnyArray]:
+    """Return the history as arrays for a file.
+
+    Returns
+    -------
+    dict of arrays
+        ``history``, shape (iteration, 6), with the stage as its position in a fixed order,
+        and ``history_outcomes``, ASCII text of shape (iteration,).
+    """
+    rows = [(_ORDER.index(r.stage), *r[1:-1]) for r in history]
+    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(_NUMBERS))
+    return {"history": numbers, "history_outcomes": np.array([r.outcome for r in history], "S")}
 
 
-def from_array(array: npt.NDArray[np.float64]) -> list[Iteration]:
-    """Inverse of :func:`to_array`."""
-    return [
-        Iteration(_ORDER[int(s)], int(e), int(b), int(i), float(loss), float(seconds))
-        for s, e, b, i, loss, seconds in array
-    ]
+def from_arrays(arrays: Mapping[str, AnyArray]) -> tuple[Iteration, ...]:
+    """Return the history of a file; older files have no outcomes.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError, IndexError
+        If the arrays are missing or do not hold a history.
+    """
+    numbers = arrays["history"]
+    outcomes = arrays.get("history_outcomes", np.full(len(numbers), b"", "S"))
+    return tuple(
+        Iteration(_ORDER[int(s)], int(e), int(b), int(i), float(loss), float(t), end.decode())
+        for (s, e, b, i, loss, t), end in zip(numbers, outcomes, strict=True)
+    )
 
 
 class Recorder:
-    """Keeps the iterations of one unit, and passes each on as it comes."""
+    """Iterations of one training step, passed on as they come.
 
-    def __init__(self, began: float, on_record: OnRecord | None) -> None:
+    Parameters
+    ----------
+    began : float
+        Time (``time.perf_counter``) at which training began.
+    on_iteration : callable, optional
+        Called with every :class:`Iteration`; may raise to stop.
+    on_fit_end : callable, optional
+        Called with the outcome of every fit.
+
+    Attributes
+    ----------
+    iterations : list of Iteration
+        All iterations so far.
+    """
+
+    def __init__(
+        self,
+        began: float,
+        on_iteration: OnIteration | None = None,
+        on_fit_end: Callable[[str], None] | None = None,
+    ) -> None:
         self.iterations: list[Iteration] = []
         self._began = began
-        self._on_record = on_record
+        self._on_iteration = on_iteration
+        self._on_fit_end = on_fit_end
 
-    def __call__(self, stage: str, epoch: int, batch: int) -> Callable[[int, float], None]:
-        """Return what an engine calls with each iteration's number and loss."""
+    def run(self, stage: str, epoch: int, batch: int, fit: Callable[[OnLoss], Fit]) -> Array:
+        """Run one fit, record it, and return its parameters.
+
+        Parameters
+        ----------
+        stage, epoch, batch
+            Fields of the fit's iterations.
+        fit : callable
+            Runs the optimizer with the given ``on_iteration``.
+        """
+        first = len(self.iterations)
 
         def on_iteration(number: int, loss: float) -> None:
             seconds = time.perf_counter() - self._began
             self.iterations.append(Iteration(stage, epoch, batch, number, loss, seconds))
-            if self._on_record is not None:
-                self._on_record(self.iterations[-1])
+            if self._on_iteration is not None:
+                self._on_iteration(self.iterations[-1])
 
-        return on_iteration
+        found = fit(on_iteration)
+        outcome = f"{'converged' if found.converged else 'stopped'}: {found.message}"
+        if len(self.iterations) > first:
+            self.iterations[-1] = self.iterations[-1]._replace(outcome=outcome)
+        if self._on_fit_end is not None:
+            self._on_fit_end(outcome)
+        return found.parameters

@@ -1,4 +1,4 @@
-"""L-BFGS in whitened weights, with early stopping: how preset ``fast`` fits a network."""
+"""L-BFGS with weight decay and early stopping, with which preset ``fast`` fits a network."""
 
 from __future__ import annotations
 
@@ -9,74 +9,14 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import FullBatch
-from pcnde_bridge.engines.types import LBFGS, Objective, OnIteration
+from pcnde_bridge.engines.types import LBFGS, Fit, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 
-_DIVERGED = 10.0  # loss of a diverging trial step, in units of the first loss
+_DIVERGED = 10.0  # loss of a diverging trial step, relative to the first loss
 _TINY = 1e-300
 
 
-class Whitening:
-    """Coordinates of a network's first layer in which its inputs are alike.
-
-    The inputs of all cases, instants and points lie close to a plane of few dimensions,
-    and in it their spread differs a hundredfold: the loss is then a narrow valley.  With
-    the inputs u = m + Σ_i √λ_i ξ_i e_i, by principal components, the first layer
-
-        W·u + c = V·ξ' + d,   ξ'_i = e_i·(u − m) / √(λ_i + ε·λ_max)
-
-    has the coordinates V and d in place of W and c.  Components that the inputs do not
-    show have no coordinate: their weights are zero.
-
-    Parameters
-    ----------
-    inputs : array of shape (sample, in)
-        What the network sees.
-    width : int
-        Of the first hidden layer.
-    floor : float
-        ε.
-    """
-
-    def __init__(self, inputs: Array, width: int, floor: float) -> None:
-        self._width, self._mean = width, inputs.mean(axis=0)
-        spread = inputs - self._mean
-        variances, components = np.linalg.eigh(spread.T @ spread / len(inputs))
-        largest = variances[-1]
-        seen = variances > 1e-4 * floor * largest
-        self._size = np.sqrt(variances[seen] + floor * largest)
-        self._components = components[:, seen]
-
-    def inputs(self, inputs: Array) -> Array:
-        """ξ' of inputs, (..., component)."""
-        result: Array = (inputs - self._mean) @ (self._components / self._size)
-        return result
-
-    def coordinates(self, parameters: Array) -> Array:
-        """Of a network's parameters: V, d, and the other layers as they are."""
-        weights, bias, rest = self._split(parameters, len(self._mean))
-        ours = (self._components * self._size).T @ weights
-        return np.concatenate([ours.ravel(), bias + self._mean @ weights, rest])
-
-    def parameters(self, coordinates: Array) -> Array:
-        """Inverse of :meth:`coordinates`, the unseen components' weights being zero."""
-        ours, bias, rest = self._split(coordinates, len(self._size))
-        weights = (self._components / self._size) @ ours
-        return np.concatenate([weights.ravel(), bias - self._mean @ weights, rest])
-
-    def gradient(self, gradient: Array) -> Array:
-        """By the coordinates, from that by the parameters."""
-        weights, bias, rest = self._split(gradient, len(self._mean))
-        ours = (self._components / self._size).T @ (weights - np.outer(self._mean, bias))
-        return np.concatenate([ours.ravel(), bias, rest])
-
-    def _split(self, vector: Array, n_in: int) -> tuple[Array, Array, Array]:
-        end = n_in * self._width
-        weights = vector[:end].reshape(n_in, self._width)
-        return weights, vector[end : end + self._width], vector[end + self._width :]
-
-
-def minimise(
+def minimize(
     objective: Objective,
     start: Array,
     settings: FullBatch,
@@ -86,8 +26,8 @@ def minimise(
     on_iteration: OnIteration | None = None,
     *,
     lbfgs: LBFGS,
-) -> Array:
-    """Minimise objective(x)/unit + weight_decay·|x|².
+) -> Fit:
+    """Minimize objective(x)/unit + weight_decay·|x|².
 
     Parameters
     ----------
@@ -98,12 +38,12 @@ def minimise(
     settings : FullBatch
         Memory, weight decay and patience.
     iterations : int
-        At most so many.
+        Largest number of iterations.
     unit : float
-        The loss's size, against which the weight decay is measured.
+        Size of the loss, relative to which the weight decay is measured.
     validate : callable, optional
-        Error on cases that the objective does not know; asked every few iterations, it
-        ends the fit once it has not fallen for ``settings.patience`` iterations.
+        Error on cases that the objective does not contain, evaluated every few iterations;
+        the fit ends once it has not fallen for ``settings.patience`` iterations.
     on_iteration : callable, optional
         Called with the number and loss of each iteration; may raise to stop.
     lbfgs : callable
@@ -111,8 +51,8 @@ def minimise(
 
     Returns
     -------
-    array of shape (n,)
-        The iterate of the least validation error, or the last one.
+    Fit
+        The iterate of the smallest validation error, or the last one.
 
     Raises
     ------
@@ -125,36 +65,41 @@ def minimise(
             f"The loss is not finite at the first parameters of the fit (loss {first}): the "
             "equation diverges there. Check the data's units, or start from another seed."
         )
-    ceiling = _DIVERGED * (first / unit + settings.weight_decay * float(start @ start))
-
-    number, last, judged = 0, start, 0
+    decay = settings.weight_decay
+    ceiling = _DIVERGED * (first / unit + decay * float(start @ start))
+    losses, last, validated = [first], start, 0
     best, best_error, best_number = start, math.inf, 0
+    message = ""
 
     def total(x: Array) -> tuple[float, Array]:
         loss, gradient = objective(x)
         if not (math.isfinite(loss) and np.isfinite(gradient).all()):
-            # A wall, which rises from the last iterate on.
+            # A wall that rises from the last iterate on.
             way = x - last
             return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
-        decay = settings.weight_decay
         return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
 
-    def after(x: Array, value: float) -> None:
-        nonlocal number, last, judged, best, best_error, best_number
-        number, last = number + 1, x
+    def accept(x: Array, value: float) -> None:
+        nonlocal last, validated, best, best_error, best_number, message
+        number, last = len(losses), x
+        losses.append((value - decay * float(x @ x)) * unit)
         if on_iteration is not None:
-            on_iteration(number, (value - settings.weight_decay * float(x @ x)) * unit)
+            on_iteration(number, losses[-1])
         if validate is None:
             best = x
         elif number % settings.check_every == 0 or number == iterations:
-            error, judged = validate(x), number
+            error, validated = validate(x), number
             if error < best_error:
                 best, best_error, best_number = x, error, number
             elif number - best_number >= settings.patience:
+                message = "validation error falls no more"
                 raise StopIteration
 
-    lbfgs(total, start, settings.memory, iterations, after)
-    # It may have converged between two questions.
-    if validate is not None and judged < number and validate(last) < best_error:
-        return last
-    return best
+    lbfgs(total, start, settings.memory, iterations, accept)
+    number = len(losses) - 1
+    # L-BFGS may have converged between two validations.
+    if validate is not None and validated < number and validate(last) < best_error:
+        best = last
+    if not message and number >= iterations:
+        message = "all iterations done"
+    return Fit(best, np.array(losses), not message, message or "loss falls no more")

@@ -1,4 +1,4 @@
-"""Linear least squares: the exact minimum of what enters an equation linearly."""
+"""Linear least squares: the exact minimum with respect to linear parameters."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 
-_RANK = 1e-12  # of the scaled normal equations, whose eigenvalues are the squares
+_RANK = 1e-12  # relative; the eigenvalues of normal equations are squares
 
 
 def solve_per_point(columns: Sequence[Array], target: Array) -> tuple[Array, float]:
-    """Minimise Σ_case,time (Σ_k u_k(z)·column_k − target)² at every point z.
+    """Minimize Σ_case,time (Σ_k u_k(z)·column_k − target)² at every point z.
 
-    Where the columns do not determine all u_k, those of the least size are taken.
+    Where the columns do not determine all u_k, those of the smallest norm are taken.
 
     Parameters
     ----------
     columns : sequence of arrays that broadcast to (case, time, z)
-        What each unknown multiplies.
+        Factor of each unknown.
     target : array of shape (case, time, z)
-        What the sum should be.
+        Value that the sum should have.
 
     Returns
     -------
     unknowns : array of shape (k, z)
         u_k.
     loss : float
-        Mean of the squares that are left.
+        Mean square of the residual.
     """
     full = [np.broadcast_to(column, target.shape) for column in columns]
     normal = np.array([[np.einsum("ntz,ntz->z", a, b) for b in full] for a in full])
     right = np.array([np.einsum("ntz,ntz->z", a, target) for a in full])
     unknowns = solve_normal(np.moveaxis(normal, 2, 0), right.T).T
-    left = target - sum(u * column for u, column in zip(unknowns, full, strict=True))
-    return unknowns, float(np.mean(left**2))
+    residual = target - sum(u * column for u, column in zip(unknowns, full, strict=True))
+    return unknowns, float(np.mean(residual**2))
 
 
 def solve_normal(normal: Array, right: Array) -> Array:
-    """Solve normal equations, scaled to columns of length one; the least solution if singular.
+    """Solve normal equations, scaled to columns of length one.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def solve_normal(normal: Array, right: Array) -> Array:
     Returns
     -------
     array of shape (..., k)
-        The unknowns.
+        Unknowns; those of the smallest norm if the equations are singular.
     """
     length = np.sqrt(np.einsum("...kk->...k", normal))
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
 from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from pcnde_bridge._utils import interrupts
 from pcnde_bridge._utils.progress import ProgressDisplay
-from pcnde_bridge.training.history import Iteration, OnRecord
+from pcnde_bridge.training.history import Iteration
 
 _DRAW_EVERY = 0.1  # seconds between two updates of the bar
 
 
 class TrainingProgress(ProgressDisplay):
-    """Stage, loss, elapsed and remaining time of a training run.
+    """Stage, loss, converged fits, elapsed and remaining time of a training run.
 
     Parameters
     ----------
@@ -30,17 +27,25 @@ class TrainingProgress(ProgressDisplay):
     def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
         columns = (
             TextColumn("loss {task.fields[loss]}"),
+            TextColumn("{task.fields[fits]}"),
             TimeElapsedColumn(),
             TextColumn("<"),
             TimeRemainingColumn(),
         )
-        super().__init__("training", total, done, columns, console=console, loss="-")
+        super().__init__("training", total, done, columns, console=console, loss="-", fits="")
         self._compiled = 0.0  # time at which the first iteration of this run was complete
+        self._fits, self._converged = 0, 0
 
     def __exit__(self, kind: type[BaseException] | None, *details: object) -> None:
         if kind is None:
             self._bar.update(self._task, completed=self._total)
         super().__exit__(kind, *details)
+
+    def on_fit_end(self, outcome: str) -> None:
+        """Count a fit that has ended, with its outcome as the history has it."""
+        self._fits += 1
+        self._converged += outcome.startswith("converged")
+        self._bar.update(self._task, fits=f"converged {self._converged}/{self._fits}")
 
     def __call__(self, iteration: Iteration) -> None:
         """Count one iteration."""
@@ -62,32 +67,8 @@ class TrainingProgress(ProgressDisplay):
         if counted:
             pace = (now - self._compiled) / counted
             left = f"{pace * (self._total - self._done):.0f} s"
+        fits = f"converged {self._converged} of {self._fits} fits, " if self._fits else ""
         self._print(
-            f"{where}: iteration {self._done} of {self._total}, loss {loss}, "
+            f"{where}: iteration {self._done} of {self._total}, loss {loss}, {fits}"
             f"elapsed {now - self._began:.0f} s, remaining {left}"
         )
-
-
-@contextmanager
-def listening(progress: bool | OnRecord, total: int, done: int = 0) -> Iterator[OnRecord]:
-    """Give what is called with every iteration: it looks for Ctrl-C, and tells whoever listens.
-
-    Parameters
-    ----------
-    progress : bool or callable
-        True shows a bar.
-    total, done : int
-        As of :class:`TrainingProgress`.
-    """
-    with ExitStack() as stack:
-        look = stack.enter_context(interrupts.watched())
-        hears: bool | OnRecord = progress
-        if progress is True:
-            hears = stack.enter_context(TrainingProgress(total, done))
-
-        def on_record(iteration: Iteration) -> None:
-            look()
-            if callable(hears):
-                hears(iteration)
-
-        yield on_record

@@ -1,4 +1,4 @@
-"""What is needed to run a fit again, kept in every model, ensemble and checkpoint."""
+"""Provenance: how a model was trained, so that the fit can be reproduced."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from pcnde_bridge.engines.protocol import Engine
 
 
 def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]:
-    """Collect the facts of a fit that starts here and now.
+    """Collect the facts of a fit that starts now.
 
     Parameters
     ----------
     cases : Cases
-        The training cases; their number, labels (geometry and waveform) and
-        fingerprint are kept.
+        Training cases; their number, labels (geometry and waveform) and fingerprint are
+        stored.
     engine : Engine or None
-        Who computes, with the versions of its packages.
+        Compute engine; its name and the versions of its packages are stored.
     seed : int
-        Of the fit.
+        Random seed of the fit.
 
     Returns
     -------
     dict
-        Whatever JSON can hold.
+        Facts that JSON can store.
     """
     packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
     keys = cases.labels[["geometry", "waveform"]].to_numpy()

@@ -1,33 +1,36 @@
-"""A network up to its last layer, which is left to least squares.
+"""Hidden layers of a network whose last layer is found by least squares.
 
 In variable projection (Golub and Pereyra 1973) the last layer is the exact minimum for the
-layers before it; the gradient by these is then the one with the last layer held fixed.
+hidden layers; the gradient with respect to these is then the one at a constant last layer.
+
+The layers are evaluated with numpy on one thread, for every engine: the sums run over all
+cases and points, and so must not depend on the number of threads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge.engines.parameters import unpack_network
 
-__all__ = ["HiddenLayers", "Passed"]
+__all__ = ["ForwardPass", "HiddenLayers"]
 
 
-class Passed(NamedTuple):
-    """What a pass through the layers leaves for the gradient.
+class ForwardPass(NamedTuple):
+    """Intermediate results of a pass through the layers, which the gradient needs.
 
     Attributes
     ----------
     values : list of arrays of shape (sample, width)
-        The inputs, and what comes out of each layer.
+        Inputs, then the output of each layer.
     slopes : list of arrays of shape (sample, width)
         Derivatives of the activation function in each layer.
     matrices : list of arrays of shape (in, out)
-        The layers' weights.
+        Weights of the layers.
     """
 
     values: list[Array]
@@ -36,62 +39,52 @@ class Passed(NamedTuple):
 
     @property
     def last(self) -> Array:
-        """What the last layer sees, (sample, width)."""
+        """Output of the last hidden layer, shape (sample, width)."""
         return self.values[-1]
 
 
 class HiddenLayers:
     """Dense layers with one activation function.
 
-    Their coordinates are one vector: of each layer the weights (in, out), then the biases.
+    Their coordinates are one vector: for each layer the weights (in, out), then the biases.
 
     Parameters
     ----------
     widths : sequence of int
-        Of the inputs and of each layer.
+        Widths of the inputs and of each layer.
     activation : str
         ``tanh``, ``gelu``, ``relu``, ``sigmoid`` or ``swish``.
     """
 
     def __init__(self, widths: Sequence[int], activation: str) -> None:
-        self._layers = list(pairwise(widths))
+        self._widths = widths
         self._activation = _ACTIVATIONS[activation]
 
-    def __call__(self, coordinates: Array, inputs: Array) -> Passed:
-        """Pass inputs (sample, in) through the layers."""
-        passed, at = Passed([inputs], [], []), 0
-        for n_in, n_out in self._layers:
-            matrix = coordinates[at : at + n_in * n_out].reshape(n_in, n_out)
-            at += n_in * n_out
-            value, slope = self._activation(passed.last @ matrix + coordinates[at : at + n_out])
-            at += n_out
-            for kept, new in zip(passed, (value, slope, matrix), strict=True):
-                kept.append(new)
+    def __call__(self, coordinates: Array, inputs: Array) -> ForwardPass:
+        """Pass inputs of shape (sample, in) through the layers."""
+        passed = ForwardPass([inputs], [], [])
+        for matrix, bias in unpack_network(coordinates, self._widths):
+            value, slope = self._activation(passed.last @ matrix + bias)
+            passed.values.append(value)
+            passed.slopes.append(slope)
+            passed.matrices.append(matrix)
         return passed
 
     @staticmethod
-    def gradient(passed: Passed, back: Array) -> Array:
-        """By the coordinates, from that by what comes out, (sample, width)."""
-        gradient: list[Array] = []
-        for value, slope, matrix in zip(
-            reversed(passed.values[:-1]),
-            reversed(passed.slopes),
-            reversed(passed.matrices),
-            strict=True,
+    def gradient(passed: ForwardPass, gradient: Array) -> Array:
+        """Return the gradient with respect to the coordinates, given that to the output."""
+        parts: list[Array] = []
+        for value, slope, matrix in reversed(
+            list(zip(passed.values, passed.slopes, passed.matrices, strict=False))
         ):
-            back = back * slope
-            gradient = [(value.T @ back).ravel(), back.sum(axis=0), *gradient]
-            back = back @ matrix.T
-        return np.concatenate(gradient)
+            gradient = gradient * slope
+            parts = [(value.T @ gradient).ravel(), gradient.sum(axis=0), *parts]
+            gradient = gradient @ matrix.T
+        return np.concatenate(parts)
 
 
-# Value and derivative, both from the argument x.
+# Value and derivative of the activation functions.
 _ROOT = np.sqrt(2 / np.pi)
-
-
-def _sigmoid(x: Array) -> Array:
-    result: Array = 0.5 * (1 + np.tanh(x / 2))
-    return result
 
 
 def _tanh(x: Array) -> tuple[Array, Array]:
@@ -109,13 +102,13 @@ def _relu(x: Array) -> tuple[Array, Array]:
     return np.maximum(x, 0.0), (x > 0).astype(np.float64)
 
 
-def _logistic(x: Array) -> tuple[Array, Array]:
-    value = _sigmoid(x)
+def _sigmoid(x: Array) -> tuple[Array, Array]:
+    value = 0.5 * (1 + np.tanh(x / 2))
     return value, value * (1 - value)
 
 
 def _swish(x: Array) -> tuple[Array, Array]:
-    share = _sigmoid(x)
+    share, _ = _sigmoid(x)
     return x * share, share + x * share * (1 - share)
 
 
@@ -123,6 +116,6 @@ _ACTIVATIONS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "tanh": _tanh,
     "gelu": _gelu,
     "relu": _relu,
-    "sigmoid": _logistic,
+    "sigmoid": _sigmoid,
     "swish": _swish,
 }

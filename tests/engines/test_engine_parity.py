@@ -275,13 +275,13 @@ def test_a_run_changes_engines_on_its_way(
     cases, path = small_cases.split(small_split).train, tmp_path / "run"
 
     def stop_after(count):
-        def on_record(_):
+        def on_iteration(_):
             nonlocal count
             count -= 1
             if count == 0:
                 raise KeyboardInterrupt
 
-        return on_record
+        return on_iteration
 
     for engine in (jax, julia):
         with pytest.raises(KeyboardInterrupt):

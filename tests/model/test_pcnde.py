@@ -88,7 +88,8 @@ def test_training_lowers_every_loss(small_model):
 
 def test_history(small_model):
     history = small_model.history
-    assert list(history.columns) == ["stage", "epoch", "batch", "iteration", "loss", "seconds"]
+    columns = ["stage", "epoch", "batch", "iteration", "loss", "seconds", "outcome"]
+    assert list(history.columns) == columns
     assert history["stage"].value_counts().to_dict() == {
         "flow": 4 * 2 * 3,
         "intermediate_area": 2 * 2 * 3,

@@ -11,10 +11,8 @@ from rich.console import Console
 from pcnde_bridge._utils import progress as base
 from pcnde_bridge.training import progress
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.progress import (
-    TrainingProgress,
-    listening,
-)
+from pcnde_bridge.training.progress import TrainingProgress
+from pcnde_bridge.training.trainer import training_session
 
 
 class Clock:
@@ -87,6 +85,24 @@ def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
     assert second.endswith("elapsed 53 s, remaining 24 s")
 
 
+def test_converged_fits_are_counted(clock, monkeypatch):
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(4, console=console) as bar:
+        for outcome in ("converged: gradient tolerance", "stopped: all iterations done", ""):
+            clock.now += 2.0
+            bar(record(1))
+            bar.on_fit_end(outcome)
+    lines = console.file.getvalue().splitlines()
+    assert ["converged" in line for line in lines] == [False, True, True]
+    assert "loss 5.000e-01, converged 1 of 2 fits, elapsed 6 s" in lines[2]
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, color_system=None)
+    with TrainingProgress(4, console=console) as bar:
+        bar.on_fit_end("converged: no change")
+        bar._bar.refresh()
+    assert "converged 1/1" in console.file.getvalue()
+
+
 def test_a_short_run_leaves_the_log_empty(clock):
     console = log()
     with TrainingProgress(5, console=console) as bar:
@@ -120,7 +136,7 @@ def test_an_interrupted_bar_stays_where_it_was():
     assert "10/10" not in console.file.getvalue()
 
 
-def test_listening_is_a_bar_or_the_callers_function_or_nothing(monkeypatch, capsys):
+def test_a_session_shows_a_bar_or_calls_the_callers_function_or_does_nothing(monkeypatch, capsys):
     monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     heard = []
     for listener, words in (
@@ -128,8 +144,9 @@ def test_listening_is_a_bar_or_the_callers_function_or_nothing(monkeypatch, caps
         (heard.append, ""),
         (False, ""),
     ):
-        with listening(listener, 3) as on_record:
-            on_record(record(1))
+        with training_session(listener, 3) as (on_iteration, on_fit_end):
+            on_iteration(record(1))
+            on_fit_end("converged: gradient tolerance")
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err.startswith(words) if words else said.err == ""

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
 from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate as integrate_in_fixed_steps
-from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
-from pcnde_bridge.engines.parameters import layer_sizes
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 class FlowNetwork(NamedTuple):
@@ -52,7 +52,7 @@ class FlowNetwork(NamedTuple):
 def split_network(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> FlowNetwork:
     """Return the network of a parameter vector."""
     widths = layer_sizes("flow", config, n_times, 0)
-    (first, first_bias), *middle, (last, last_bias) = unpack(parameters, widths)
+    (first, first_bias), *middle, (last, last_bias) = unpack_network(parameters, widths)
     return FlowNetwork(first[:n_times], first[n_times:], first_bias, middle, last, last_bias)
 
 

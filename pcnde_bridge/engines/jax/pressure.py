@@ -14,9 +14,9 @@ from pcnde_bridge.engines.equations import (
     stenosis_drop,
     step_profile,
 )
-from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
 from pcnde_bridge.engines.jax.separable import Separable
-from pcnde_bridge.engines.parameters import layer_sizes
+from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 def temporal(
@@ -81,7 +81,7 @@ def _hidden(
     stage, n_points = config.temporal_pressure, area_undeformed.shape[1]
     activation = ACTIVATIONS[stage.activation]
     widths = layer_sizes("temporal_pressure", config, 0, n_points)
-    (first, bias), *middle, last = unpack(parameters, widths)
+    (first, bias), *middle, last = unpack_network(parameters, widths)
     q = flow.values() if isinstance(flow, Separable) else flow
     drop = network_drop(q, area_undeformed, config)
     for_area, for_change, for_drop, for_flow = jnp.split(first, 4)

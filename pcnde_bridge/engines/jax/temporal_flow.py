@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.jax.mlp import ACTIVATIONS, unpack
-from pcnde_bridge.engines.parameters import layer_sizes
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 def solve(
@@ -46,7 +46,7 @@ def solve(
     stage = config.temporal_flow
     n_times, n_points = inflow.shape[1], initial_flow.shape[1]
     activation = ACTIVATIONS[stage.activation]
-    layers = unpack(parameters, layer_sizes("temporal_flow", config, n_times, n_points))
+    layers = unpack_network(parameters, layer_sizes("temporal_flow", config, n_times, n_points))
     (first, first_bias), *middle, (last, last_bias) = layers
     per_second = n_times * stage.steps / period
     step = 1 / per_second

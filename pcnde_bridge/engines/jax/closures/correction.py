@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS
-from pcnde_bridge.engines.jax.mlp import unpack
+from pcnde_bridge.engines.parameters import unpack_network
 
 
 def storage_factor(parameters: jax.Array) -> jax.Array:
@@ -45,7 +45,7 @@ def hidden_share(
         Widths of the hidden layers.
     """
     x = jnp.stack([pressure_rate / parameters[2], flow / parameters[3]], axis=-1)
-    *layers, last = unpack(parameters[CORRECTION_SCALARS:], (2, *hidden, 1))
+    *layers, last = unpack_network(parameters[CORRECTION_SCALARS:], (2, *hidden, 1))
     for weight, bias in layers:
         x = jnp.tanh(x @ weight + bias)
     weight, bias = last

@@ -25,30 +25,26 @@ from pcnde_bridge.engines.parameters import STAGES, initial_parameters
 from pcnde_bridge.engines.staged import solve_area, undeformed
 from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import FileError
-from pcnde_bridge.training.algorithm import Unit
 from pcnde_bridge.training.checkpoint import previous
-from pcnde_bridge.training.history import (
-    Iteration,
-    from_array,
-    to_array,
-    to_frame,
-)
-from pcnde_bridge.training.trainer import (
-    Trainer,
-    TrainingState,
-    check,
-    count_iterations,
-    plan,
-)
+from pcnde_bridge.training.history import Iteration, from_arrays, to_arrays, to_frame
+from pcnde_bridge.training.minibatch import count_iterations, plan
+from pcnde_bridge.training.procedure import Step
+from pcnde_bridge.training.staged_training import check
+from pcnde_bridge.training.trainer import Trainer, staged_training
 
 
 def without_seconds(history):
-    return [record[:-1] for record in history]
+    return [record._replace(seconds=0.0) for record in history]
 
 
 def train(cases, config, engine, seed=0, **options):
-    trainer = Trainer(cases, config, engine, **options)
+    trainer = Trainer(staged_training(cases, config, engine), **options)
     return trainer.run(trainer.start(seed))
+
+
+def start(cases, config, engine, seed=0, checkpoint=None):
+    """Return the state of a new run, or of its checkpoint."""
+    return Trainer(staged_training(cases, config, engine), checkpoint).start(seed)
 
 
 @pytest.fixture(scope="module")
@@ -59,16 +55,20 @@ def reference(small_cases, toy_config):
     return train(small_cases, toy_config, ToyEngine())
 
 
+def without_outcome(history):
+    return [record._replace(outcome="") for record in history]
+
+
 def interrupt_at(number, records=None):
     """Callback that raises at the given record, counted from 0."""
     seen = [] if records is None else records
 
-    def on_record(record):
+    def on_iteration(record):
         seen.append(record)
         if len(seen) == number + 1:
             raise KeyboardInterrupt
 
-    return on_record
+    return on_iteration
 
 
 # ---- plan ------------------------------------------------------------------
@@ -77,31 +77,31 @@ def interrupt_at(number, records=None):
 def test_plan_in_order():
     config = PAPER.replace(flow={"epochs": 5, "couple_every": 2})
     assert plan(config, 2) == [
-        Unit("flow", 1, 1),
-        Unit("flow", 1, 2),
-        Unit("flow", 2, 1),
-        Unit("flow", 2, 2),
-        Unit("coupling", 2, 1),
-        Unit("flow", 3, 1),
-        Unit("flow", 3, 2),
-        Unit("flow", 4, 1),
-        Unit("flow", 4, 2),
-        Unit("coupling", 4, 1),
-        Unit("flow", 5, 1),
-        Unit("flow", 5, 2),
-        Unit("temporal_pressure", 1, 1),
-        Unit("spatial_pressure", 1, 1),
+        Step("flow", 1, 1),
+        Step("flow", 1, 2),
+        Step("flow", 2, 1),
+        Step("flow", 2, 2),
+        Step("coupling", 2, 1),
+        Step("flow", 3, 1),
+        Step("flow", 3, 2),
+        Step("flow", 4, 1),
+        Step("flow", 4, 2),
+        Step("coupling", 4, 1),
+        Step("flow", 5, 1),
+        Step("flow", 5, 2),
+        Step("temporal_pressure", 1, 1),
+        Step("spatial_pressure", 1, 1),
     ]
 
 
 def test_the_papers_plan():
     units = plan(PAPER, 7)
-    assert [u.epoch for u in units if u.work == "coupling"] == [25, 50, 75, 100]
-    assert sum(u.work == "flow" for u in units) == 700
+    assert [u.epoch for u in units if u.task == "coupling"] == [25, 50, 75, 100]
+    assert sum(u.task == "flow" for u in units) == 700
     assert units[-3:] == [
-        Unit("coupling", 100, 1),
-        Unit("temporal_pressure", 1, 1),
-        Unit("spatial_pressure", 1, 1),
+        Step("coupling", 100, 1),
+        Step("temporal_pressure", 1, 1),
+        Step("spatial_pressure", 1, 1),
     ]
     assert count_iterations(PAPER, 7) == 700 * 5 + 4 * 7 * (5 + 5) + 250 + 75
 
@@ -110,7 +110,7 @@ def test_iterations_are_counted_as_they_come(reference, toy_config):
     assert len(reference.history) == count_iterations(toy_config, 3)
     expected = []
     for unit in plan(toy_config, 3):
-        if unit.work == "coupling":
+        if unit.task == "coupling":
             expected += [
                 (stage, unit.epoch, batch, i)
                 for stage in ("intermediate_area", "fourier_area")
@@ -119,11 +119,18 @@ def test_iterations_are_counted_as_they_come(reference, toy_config):
             ]
         else:
             expected += [
-                (unit.work, unit.epoch, unit.batch, i)
-                for i in range(1, getattr(toy_config, unit.work).iterations + 1)
+                (unit.task, unit.epoch, unit.batch, i)
+                for i in range(1, getattr(toy_config, unit.task).iterations + 1)
             ]
     assert [record[:4] for record in reference.history] == expected
     assert np.isfinite([r.loss for r in reference.history]).all()
+    last = [
+        r
+        for r, after in zip(reference.history, [*reference.history[1:], None], strict=True)
+        if after is None or after.iteration == 1
+    ]
+    assert {r.outcome for r in last} == {"stopped: all iterations done"}
+    assert sum(bool(r.outcome) for r in reference.history) == len(last)
     seconds = [r.seconds for r in reference.history]
     assert seconds == sorted(seconds)
     assert seconds[0] > 0
@@ -133,22 +140,22 @@ def test_iterations_are_counted_as_they_come(reference, toy_config):
 # ---- first state -----------------------------------------------------------
 
 
-def test_batches_are_a_seeded_partition_of_the_cases(small_cases, toy_config):
-    state = TrainingState.start(small_cases, toy_config, 3)
+def test_batches_are_a_seeded_partition_of_the_cases(small_cases, toy_config, toy_engine):
+    state = start(small_cases, toy_config, toy_engine, 3)
     assert [len(batch) for batch in state.batches] == [5, 5, 2]
     order = np.concatenate(state.batches)
     assert sorted(order) == list(range(12))
     assert list(order) != list(range(12))
-    again = TrainingState.start(small_cases, toy_config, 3)
+    again = start(small_cases, toy_config, toy_engine, 3)
     assert np.array_equal(np.concatenate(again.batches), order)
-    other = TrainingState.start(small_cases, toy_config, 4)
+    other = start(small_cases, toy_config, toy_engine, 4)
     assert not np.array_equal(np.concatenate(other.batches), order)
     assert state.parameters == initial_parameters(toy_config, 20, 21, 3)
     assert (state.finished, state.history, state.couplings, state.seconds) == (0, (), (), 0.0)
 
 
-def test_one_batch_where_there_are_few_cases(small_cases, toy_config):
-    state = TrainingState.start(small_cases.select([0, 1]), toy_config, 0)
+def test_one_batch_where_there_are_few_cases(small_cases, toy_config, toy_engine):
+    state = start(small_cases.select([0, 1]), toy_config, toy_engine, 0)
     assert [sorted(batch) for batch in state.batches] == [[0, 1]]
 
 
@@ -302,27 +309,26 @@ def test_a_continued_run_repeats_the_interrupted_one(
             toy_config,
             toy_engine,
             checkpoint=path,
-            on_record=interrupt_at(number),
+            on_iteration=interrupt_at(number),
         )
     records = []
-    trainer = Trainer(
-        small_cases, toy_config, toy_engine, checkpoint=path, on_record=records.append
-    )
+    trainer = Trainer(staged_training(small_cases, toy_config, toy_engine), path, records.append)
     state = trainer.start(0)
     kept = len(state.history)
     units = plan(toy_config, 3)
     interrupted = reference.history[number]
     works = {"intermediate_area": "coupling", "fourier_area": "coupling"}
     unit = units[state.finished]
-    assert unit.work == works.get(interrupted.stage, interrupted.stage)
+    assert unit.task == works.get(interrupted.stage, interrupted.stage)
     assert unit.epoch == interrupted.epoch
-    assert unit.work != "flow" or unit.batch == interrupted.batch
+    assert unit.task != "flow" or unit.batch == interrupted.batch
     assert kept <= number
     final = trainer.run(state)
     assert final.parameters == reference.parameters
     assert final.couplings == reference.couplings
     assert without_seconds(final.history) == without_seconds(reference.history)
-    assert without_seconds(records) == without_seconds(reference.history[kept:])
+    expected = without_outcome(reference.history[kept:])  # known only when a fit has ended
+    assert without_seconds(records) == without_seconds(expected)
     seconds = [r.seconds for r in final.history]
     assert seconds == sorted(seconds)
 
@@ -334,7 +340,7 @@ def test_interrupted_again_and_again(small_cases, toy_config, toy_engine, refere
         assert runs < 30
         try:
             final = train(
-                small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(20)
+                small_cases, toy_config, toy_engine, checkpoint=path, on_iteration=interrupt_at(20)
             )
         except KeyboardInterrupt:
             continue
@@ -349,7 +355,9 @@ def test_a_finished_run_has_nothing_left_to_do(
 ):
     path = tmp_path / "checkpoint"
     train(small_cases, toy_config, toy_engine, checkpoint=path)
-    final = train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(0))
+    final = train(
+        small_cases, toy_config, toy_engine, checkpoint=path, on_iteration=interrupt_at(0)
+    )
     assert final.parameters == reference.parameters
     assert final.finished == len(plan(toy_config, 3))
 
@@ -359,10 +367,10 @@ def test_the_checkpoint_follows_every_epoch(small_cases, toy_config, toy_engine,
     path, finished = tmp_path / "checkpoint", []
 
     def look(record):
-        state = Trainer(small_cases, toy_config, toy_engine, checkpoint=path).start(0)
+        state = start(small_cases, toy_config, toy_engine, checkpoint=path)
         finished.append(state.finished)
 
-    train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=look)
+    train(small_cases, toy_config, toy_engine, checkpoint=path, on_iteration=look)
     assert sorted(set(finished)) == [0, 3, 6, 7, 10, 13, 14, 15]
 
 
@@ -379,7 +387,7 @@ def test_the_jax_engine_continues_bit_for_bit(
     model = PCNDE.fit(cases, small_config, progress=records.append, **options)
     assert 0 < len(records) < len(small_model.history)
     assert model.parameters == small_model.parameters
-    columns = ["stage", "epoch", "batch", "iteration", "loss"]
+    columns = ["stage", "epoch", "batch", "iteration", "loss", "outcome"]
     assert model.history[columns].equals(small_model.history[columns])
 
 
@@ -388,11 +396,11 @@ import sys, time
 sys.path.insert(0, {tests!r})
 from helpers import ToyEngine
 from pcnde_bridge import Cases, PCNDEConfig
-from pcnde_bridge.training.trainer import Trainer
+from pcnde_bridge.training.trainer import Trainer, staged_training
 
 config = PCNDEConfig.from_json(open({config!r}).read())
-trainer = Trainer(Cases.load({cases!r}), config, ToyEngine(), checkpoint={checkpoint!r})
-trainer.on_record = lambda record: time.sleep(0.05)
+procedure = staged_training(Cases.load({cases!r}), config, ToyEngine())
+trainer = Trainer(procedure, {checkpoint!r}, lambda record: time.sleep(0.05))
 trainer.run(trainer.start(0))
 """
 
@@ -405,7 +413,7 @@ def test_a_killed_run_continues_to_the_same_parameters(
     small_cases.save(tmp_path / "cases.npz")
     (tmp_path / "config.json").write_text(toy_config.to_json())
     code = KILLED.format(
-        tests=str(Path(__file__).parent),
+        tests=str(Path(__file__).parents[1]),
         config=str(tmp_path / "config.json"),
         cases=str(tmp_path / "cases.npz"),
         checkpoint=str(checkpoint),
@@ -425,7 +433,7 @@ def test_a_killed_run_continues_to_the_same_parameters(
         process.wait()
         process.stderr.close()
         assert process.returncode == -signal.SIGKILL
-        state = Trainer(small_cases, toy_config, toy_engine, checkpoint=checkpoint).start(0)
+        state = start(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
         assert finished <= state.finished < len(plan(toy_config, 3))
         finished = state.finished
     assert finished > 0
@@ -441,7 +449,7 @@ def test_a_killed_run_continues_to_the_same_parameters(
 def checkpoint(small_cases, toy_config, toy_engine, tmp_path):
     path = tmp_path / "run.checkpoint"
     with pytest.raises(KeyboardInterrupt):
-        train(small_cases, toy_config, toy_engine, checkpoint=path, on_record=interrupt_at(40))
+        train(small_cases, toy_config, toy_engine, checkpoint=path, on_iteration=interrupt_at(40))
     return path
 
 
@@ -467,10 +475,10 @@ def test_a_checkpoint_of_another_run_is_refused(
 def test_going_on_with_another_engine_is_told(
     small_cases, toy_config, toy_engine, checkpoint, caplog
 ):
-    Trainer(small_cases, toy_config, toy_engine, checkpoint).start(0)
+    start(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
     assert caplog.text == ""
     toy_engine.name = "other"
-    assert Trainer(small_cases, toy_config, toy_engine, checkpoint).start(0).finished > 0
+    assert start(small_cases, toy_config, toy_engine, checkpoint=checkpoint).finished > 0
     assert "was written with the toy engine and continues with other" in caplog.text
 
 
@@ -516,7 +524,7 @@ def test_a_checkpoint_with_something_missing(
             ),
         )
         with pytest.raises(FileError, match="not a whole checkpoint"):
-            Trainer(small_cases, toy_config, toy_engine, checkpoint=checkpoint).start(0)
+            start(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
 
 
 def test_a_checkpoint_that_cannot_be_written_is_found_before_training(
@@ -536,16 +544,18 @@ def test_a_checkpoint_that_cannot_be_written_is_found_before_training(
 
 
 def test_history_as_numbers_and_as_a_frame(reference):
-    array = to_array(reference.history)
-    assert array.shape == (len(reference.history), 6)
-    assert from_array(array) == list(reference.history)
+    arrays = to_arrays(reference.history)
+    assert arrays["history"].shape == (len(reference.history), 6)
+    assert from_arrays(arrays) == reference.history
+    del arrays["history_outcomes"]  # as in older files
+    assert without_outcome(from_arrays(arrays)) == without_outcome(reference.history)
     frame = to_frame(reference.history)
-    assert list(frame.columns) == ["stage", "epoch", "batch", "iteration", "loss", "seconds"]
+    assert list(frame.columns) == list(Iteration._fields)
     assert len(frame) == len(reference.history)
     assert Iteration(*frame.iloc[7]) == reference.history[7]
 
 
 def test_an_empty_history():
-    assert to_array([]).shape == (0, 6)
-    assert from_array(to_array([])) == []
+    assert to_arrays([])["history"].shape == (0, 6)
+    assert from_arrays(to_arrays([])) == ()
     assert list(to_frame([]).columns) == list(Iteration._fields)

@@ -33,7 +33,8 @@ from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.io.tables import read_frame
-from pcnde_bridge.training.closure_trainer import ClosureTrainer
+from pcnde_bridge.training.closure_training import ClosureTraining
+from pcnde_bridge.training.trainer import Trainer
 from pcnde_bridge.uncertainty.novelty import Novelty, OutsideTrainingWarning
 from pcnde_bridge.uncertainty.sampling import RandomNumbers, sample
 
@@ -108,7 +109,8 @@ def test_what_the_closures_made_is_learnt(model, cases):
 
 def test_history_names_the_closures(model, records):
     history = model.history
-    assert list(history.itertuples(index=False, name=None)) == [tuple(r) for r in records]
+    numbers = history.drop(columns="outcome").itertuples(index=False, name=None)
+    assert list(numbers) == [tuple(r)[:-1] for r in records]
     assert list(dict.fromkeys(history["stage"])) == ["losses", "wall", "correction"]
     fits = history[history["stage"] == "correction"]
     # The fit to all cases, then four that leave out a part of them.
@@ -117,6 +119,9 @@ def test_history_names_the_closures(model, records):
         assert list(rows["iteration"]) == list(range(1, len(rows) + 1))
         assert len(rows) <= 15
         assert rows["loss"].is_monotonic_decreasing
+        outcomes = [outcome for outcome in rows["outcome"] if outcome]
+        assert outcomes == [rows["outcome"].iloc[-1]]
+        assert outcomes[0] in ("converged: loss tolerance", "stopped: all evaluations done")
     assert history["seconds"].is_monotonic_increasing
 
 
@@ -205,11 +210,11 @@ def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
 def interrupt_at(stage, epoch):
     """Callback that raises at a fit's first record."""
 
-    def on_record(record):
+    def on_iteration(record):
         if (record.stage, record.epoch, record.iteration) == (stage, epoch, 1):
             raise KeyboardInterrupt
 
-    return on_record
+    return on_iteration
 
 
 @pytest.mark.parametrize(("stage", "epoch"), [("losses", 1), ("correction", 1), ("correction", 2)])
@@ -234,10 +239,9 @@ def test_finished_checkpoint_gives_the_model_at_once(model, cases, tmp_path):
 
 
 def test_going_on_with_another_engine_is_told(cases, started, caplog):
-    trainer = ClosureTrainer(cases, CONFIG, select_engine("jax"), started)
-    trainer.start(0)
+    Trainer(ClosureTraining(cases, CONFIG, select_engine("jax")), started).start(0)
     assert caplog.text == ""
-    trainer = ClosureTrainer(cases, CONFIG, OtherEngine(), started)
+    trainer = Trainer(ClosureTraining(cases, CONFIG, OtherEngine()), started)
     assert trainer.start(0).vectors.keys() == {"outlet", "losses"}
     assert "was written with the jax engine and continues with other" in caplog.text
 

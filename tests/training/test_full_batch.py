@@ -29,6 +29,7 @@ from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import predict_by_stages, undeformed
 from pcnde_bridge.engines.types import (
+    Fit,
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
@@ -37,20 +38,18 @@ from pcnde_bridge.engines.types import (
 )
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.predictor import predict
-from pcnde_bridge.training import full_batch as fast
-from pcnde_bridge.training.algorithm import Unit
-from pcnde_bridge.training.collocation import KnownFlow
-from pcnde_bridge.training.lbfgs import (
-    Whitening,
-    minimise,
-)
+from pcnde_bridge.training import flow_fit, full_batch
+from pcnde_bridge.training.area_fit import fit_area_stage
+from pcnde_bridge.training.collocation import Collocation
+from pcnde_bridge.training.flow_fit import amplitude_weight, balanced_flow, fit_flow
+from pcnde_bridge.training.full_batch import count_iterations, plan
+from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.least_squares import solve_per_point
-from pcnde_bridge.training.trainer import (
-    Trainer,
-    TrainingState,
-    count_iterations,
-    plan,
-)
+from pcnde_bridge.training.procedure import Step
+from pcnde_bridge.training.spatial_pressure_fit import fit_spatial_pressure
+from pcnde_bridge.training.temporal_pressure_fit import fit_temporal_pressure
+from pcnde_bridge.training.trainer import Trainer, staged_training
+from pcnde_bridge.training.whitening import Whitening
 
 LITTLE = FAST.replace(
     coupling_passes=2,
@@ -144,12 +143,12 @@ def test_what_the_columns_do_not_determine_stays_finite():
 def area_gradients(engine, cases, grid, config):
     """Gradients of both area stages at their fit and at a = 1, b = 0, and the fits."""
     inputs = IntermediateAreaInputs(cases.flow, cases.area_undeformed)
-    first, loss = fast.fit_area_stage(engine.intermediate_area, inputs, cases.area, grid, config)
+    found = fit_area_stage(engine.intermediate_area, inputs, cases.area, grid, config)
+    first, loss = found.parameters, found.losses[-1]
     whole = engine.intermediate_area.solve(first, inputs, grid, config)
     fourier = FourierAreaInputs(cases.flow, whole[:, -1])
-    second, fourier_loss = fast.fit_area_stage(
-        engine.fourier_area, fourier, cases.area, grid, config
-    )
+    found = fit_area_stage(engine.fourier_area, fourier, cases.area, grid, config)
+    second, fourier_loss = found.parameters, found.losses[-1]
     start = np.repeat([1.0, 0.0], cases.n_points)
     for stage, arrays, vector, least in (
         (engine.intermediate_area, inputs, first, loss),
@@ -187,9 +186,9 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
     target = small_cases.pressure / config.physics.reference_pressure
     start = initial_parameters(config, 20, 21, 0).temporal_pressure
     losses = []
-    vector = fast.fit_temporal_pressure(
+    vector = fit_temporal_pressure(
         start, inputs, target, everything, engine, config, lambda _, loss: losses.append(loss)
-    )
+    ).parameters
     stage = engine.temporal_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
     first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
@@ -209,9 +208,9 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     inputs = SpatialPressureInputs(target, small_cases.flow, small_cases.area_undeformed)
     start = initial_parameters(config, 20, 21, 0).spatial_pressure
     losses = []
-    vector = fast.fit_spatial_pressure(
+    vector = fit_spatial_pressure(
         start, inputs, target, engine, grid, config, lambda _, loss: losses.append(loss)
-    )
+    ).parameters
     stage = engine.spatial_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
     first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
@@ -260,9 +259,9 @@ def bowl(x):
     return float(np.sum(scale * (x - 1) ** 2)), 2 * scale * (x - 1)
 
 
-def test_the_minimiser_finds_the_minimum_and_tells_the_loss(lbfgs):
+def test_the_minimizer_finds_the_minimum_and_tells_the_loss(lbfgs):
     seen = []
-    found = minimise(
+    found = minimize(
         bowl,
         np.zeros(3),
         FullBatch(weight_decay=0.0),
@@ -271,11 +270,12 @@ def test_the_minimiser_finds_the_minimum_and_tells_the_loss(lbfgs):
         on_iteration=lambda i, loss: seen.append((i, loss)),
         lbfgs=lbfgs,
     )
-    assert np.allclose(found, 1, atol=1e-7)
+    assert np.allclose(found.parameters, 1, atol=1e-7)
+    assert (found.converged, found.message) == (True, "loss falls no more")
     assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
     assert seen[-1][1] < 1e-12
-    decayed = minimise(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
-    assert np.allclose(decayed, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
+    decayed = minimize(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
+    assert np.allclose(decayed.parameters, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
 
 
 def test_a_diverging_trial_step_is_shortened(lbfgs):
@@ -286,11 +286,11 @@ def test_a_diverging_trial_step_is_shortened(lbfgs):
         return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
 
     settings = FullBatch(weight_decay=0.0)
-    found = minimise(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
+    found = minimize(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
     assert any(trials)
-    assert np.allclose(found, 1, atol=1e-5)
+    assert np.allclose(found.parameters, 1, atol=1e-5)
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        minimise(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs=lbfgs)
+        minimize(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs=lbfgs)
 
 
 def test_early_stopping_keeps_the_best(lbfgs):
@@ -301,7 +301,7 @@ def test_early_stopping_keeps_the_best(lbfgs):
         return abs(len(looks) - 2.0)
 
     settings = FullBatch(weight_decay=0.0, check_every=1, patience=2)
-    found = minimise(
+    found = minimize(
         bowl,
         np.zeros(3),
         settings,
@@ -312,15 +312,16 @@ def test_early_stopping_keeps_the_best(lbfgs):
         lbfgs=lbfgs,
     )
     assert len(seen) == len(looks) == 4
-    assert np.array_equal(found, looks[1])
+    assert np.array_equal(found.parameters, looks[1])
+    assert (found.converged, found.message) == (False, "validation error falls no more")
 
 
 def test_what_converged_before_the_first_look_is_kept(lbfgs):
     settings = FullBatch(weight_decay=0.0, check_every=1000)
-    found = minimise(
+    found = minimize(
         bowl, np.zeros(3), settings, 2000, 1.0, lambda x: float(np.sum((x - 1) ** 2)), lbfgs=lbfgs
     )
-    assert np.allclose(found, 1, atol=1e-7)
+    assert np.allclose(found.parameters, 1, atol=1e-7)
 
 
 # ---- validation part ---------------------------------------------------------
@@ -358,35 +359,40 @@ def test_few_cases_spare_none(small_cases):
 
 
 def train(cases, engine, config=LITTLE, **options):
-    trainer = Trainer(cases, config, engine, **options)
+    trainer = Trainer(staged_training(cases, config, engine), **options)
     return trainer.run(trainer.start(0))
 
 
+def unchanged(parameters):
+    return Fit(parameters, np.empty(0), True, "not fitted")
+
+
 def without_seconds(history):
-    return [record[:-1] for record in history]
+    return [record._replace(seconds=0.0) for record in history]
 
 
 def test_plan():
     assert plan(LITTLE, 2) == [
-        Unit("flow", 1, 1),
-        Unit("coupling", 1, 1),
-        Unit("flow", 2, 1),
-        Unit("coupling", 2, 1),
-        Unit("temporal_pressure", 1, 1),
-        Unit("temporal_pressure", 2, 1),
-        Unit("spatial_pressure", 1, 1),
+        Step("flow", 1, 1),
+        Step("coupling", 1, 1),
+        Step("flow", 2, 1),
+        Step("coupling", 2, 1),
+        Step("temporal_pressure", 1, 1),
+        Step("temporal_pressure", 2, 1),
+        Step("spatial_pressure", 1, 1),
     ]
     assert count_iterations(LITTLE, 2) == 2 * 6 + 8 + 5 + 4 + 3 * 12
     with_terms = LITTLE.replace(flow={"terms": ("friction",)}, full_batch={"starts": 3})
     assert count_iterations(with_terms, 2) == 3 * (6 + 8) + 6 + 5 + 4 + 3 * 12
-    assert plan(LITTLE, 1)[-2:] == [Unit("temporal_pressure", 1, 1), Unit("spatial_pressure", 1, 1)]
+    assert plan(LITTLE, 1)[-2:] == [Step("temporal_pressure", 1, 1), Step("spatial_pressure", 1, 1)]
 
 
 def test_the_progress_counts_the_parts_of_the_run(small_cases, toy_engine):
-    trainer = Trainer(small_cases, LITTLE, toy_engine)
-    state = trainer.start(0)
-    assert trainer.total(state) == count_iterations(LITTLE, len(state.batches))
-    assert len(trainer.run(state).history) <= trainer.total(state)
+    procedure = staged_training(small_cases, LITTLE, toy_engine)
+    state = procedure.start(0)
+    total = procedure.count_iterations(state)
+    assert total == count_iterations(LITTLE, len(state.batches))
+    assert len(Trainer(procedure).run(state).history) <= total
 
 
 def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
@@ -411,16 +417,16 @@ def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            train(small_cases, toy_engine, checkpoint=path, on_record=stop)
-        kept = Trainer(small_cases, LITTLE, toy_engine, checkpoint=path).start(0)
+            train(small_cases, toy_engine, checkpoint=path, on_iteration=stop)
+        kept = Trainer(staged_training(small_cases, LITTLE, toy_engine), path).start(0)
         assert len(kept.history) <= moment
         final = train(small_cases, toy_engine, checkpoint=path)
         assert final.parameters == whole.parameters
         assert without_seconds(final.history) == without_seconds(whole.history)
 
 
-def test_the_batches_of_a_state_are_its_parts(small_cases):
-    state = TrainingState.start(small_cases, LITTLE, 5)
+def test_the_batches_of_a_state_are_its_parts(small_cases, toy_engine):
+    state = staged_training(small_cases, LITTLE, toy_engine).start(5)
     expected = training_and_validation(small_cases, LITTLE.full_batch.validation, 5)
     assert all(map(np.array_equal, state.batches, expected))
     assert len(state.batches) == len(expected)
@@ -434,7 +440,7 @@ def test_the_first_round_alone_spares_the_validation_part(small_cases, toy_engin
         return fit(*arguments)
 
     for name in ("fit_flow", "fit_temporal_pressure"):
-        monkeypatch.setattr(fast, name, partial(spy, name, getattr(fast, name)))
+        monkeypatch.setattr(full_batch, name, partial(spy, name, getattr(full_batch, name)))
     batches, everything = train(small_cases, toy_engine).batches, (np.arange(12),)
     expected = [batches, everything] * 2
     assert [name for name, _ in seen] == ["fit_flow"] * 2 + ["fit_temporal_pressure"] * 2
@@ -494,7 +500,7 @@ def test_the_flow_fit_uses_its_training_part_alone(engine, small_cases, everythi
     start = initial_parameters(LITTLE, 20, 21, 0).flow
 
     def fit(cases, selection):
-        return fast.fit_flow([start], cases, area, selection, engine, LITTLE, 3)
+        return fit_flow([start], cases, area, selection, engine, LITTLE, 3)
 
     flow = small_cases.flow.copy()
     flow[parts[1], :, 1:] *= 1.01
@@ -520,15 +526,15 @@ def test_the_validation_error_has_the_weights_of_the_loss(engine, small_cases, g
 
     def validated_once(objective, coordinates, settings, iterations, unit, validate, *_, **__):
         errors.append(validate(coordinates))
-        return coordinates
+        return unchanged(coordinates)
 
-    monkeypatch.setattr(fast, "minimise", validated_once)
-    monkeypatch.setattr(KnownFlow, "fit", lambda _, start, *__: start)
-    vector = fast.fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
+    monkeypatch.setattr(flow_fit, "minimize", validated_once)
+    monkeypatch.setattr(Collocation, "fit", lambda _, start, *__, **___: unchanged(start))
+    vector = fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     flow = engine.flow.solve(vector, FlowInputs(small_cases.inflow, area), grid, LITTLE)
-    off = flow - fast.balanced_flow(small_cases, fitted, LITTLE)
+    off = flow - balanced_flow(small_cases, fitted, LITTLE)
     power = LITTLE.full_batch.amplitude_exponent
-    weight = fast.wave_weight(small_cases.inflow, fitted, power)[held]
+    weight = amplitude_weight(small_cases.inflow, fitted, power)[held]
     assert np.ptp(weight) > 0.1
     assert errors == pytest.approx([np.mean(weight[:, None, None] * off[held] ** 2)])
 
@@ -544,19 +550,21 @@ def test_the_best_of_several_starts_goes_on(
     starts = [initial_parameters(config, 20, 21, 0, start).flow for start in range(3)]
     assert not np.array_equal(starts[0], starts[1])
     asked, along = [], []
-    fit_along = KnownFlow.fit
+    fit_along = Collocation.fit
 
-    def kept(*args):
-        along.append(fit_along(*args))
-        return along[-1]
+    def kept(*args, **options):
+        found = fit_along(*args, **options)
+        along.append(found.parameters)
+        return found
 
-    monkeypatch.setattr(KnownFlow, "fit", kept)
+    monkeypatch.setattr(Collocation, "fit", kept)
 
     def fit(*chosen):
-        def record(number):
+        def run(number, optimize):
             asked.append(number)
+            return optimize(None).parameters
 
-        return fast.fit_flow(chosen, small_cases, area, parts, engine, config, 3, record)
+        return fit_flow(chosen, small_cases, area, parts, engine, config, 3, run)
 
     def error(vector):
         inputs = FlowInputs(small_cases.inflow, area)
@@ -576,9 +584,9 @@ def test_the_best_of_several_starts_goes_on(
 def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
     def run(starts):
         config = LITTLE.replace(full_batch={"starts": starts, "validation": 0.0})
-        trainer = Trainer(small_cases, config, toy_engine)
-        state = trainer.start(0)
-        return trainer.total(state), trainer.run(state)
+        procedure = staged_training(small_cases, config, toy_engine)
+        state = procedure.start(0)
+        return procedure.count_iterations(state), Trainer(procedure).run(state)
 
     total, three = run(3)
     one_total, one = run(1)
@@ -597,8 +605,8 @@ def known_flow(cases, config, chosen):
     seen = np.moveaxis(np.concatenate([cases.flow, area], axis=1), 1, 2)
     inputs = seen.reshape(-1, 2 * cases.n_times)
     whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
-    weight = fast.wave_weight(cases.inflow, chosen[0], config.full_batch.amplitude_exponent)
-    known = KnownFlow(cases.flow, area, weight, cases.z, chosen, whitening, config)
+    weight = amplitude_weight(cases.inflow, chosen[0], config.full_batch.amplitude_exponent)
+    known = Collocation(cases.flow, area, weight, cases.z, chosen, whitening, config)
     return known, whitening, area
 
 
@@ -606,27 +614,27 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
     wave = np.cos(2 * np.pi * np.arange(8) / 8)
     inflow = 1 + np.array([0.0, 0.1, 1.0, 2.0, 4.0])[:, None] * wave
     everything, power = np.arange(5), 1.5
-    found = fast.wave_weight(inflow, everything, power)
+    found = amplitude_weight(inflow, everything, power)
     expected = np.array([0.4, 0.4, 1.0, 2.0, 4.0]) ** -power
     assert np.allclose(found, expected / expected.mean())
-    assert np.allclose(fast.wave_weight(inflow, everything, 0.0), 1.0)
+    assert np.allclose(amplitude_weight(inflow, everything, 0.0), 1.0)
     # The others' weights follow those of the fitted cases.
-    some = fast.wave_weight(inflow, np.array([2, 3, 4]), 1.0)
+    some = amplitude_weight(inflow, np.array([2, 3, 4]), 1.0)
     assert np.allclose(some[2:], np.array([2.0, 1.0, 0.5]) / (3.5 / 3))
     assert some[0] == some[1] == some[2]
-    assert np.array_equal(fast.wave_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
+    assert np.array_equal(amplitude_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
     # No power is too large, whatever waves are left out, and nothing is dropped for steady cases.
-    assert np.allclose(fast.wave_weight(inflow, everything, 1e6), [2.5, 2.5, 0, 0, 0])
-    assert np.isfinite(fast.wave_weight(inflow, np.array([3, 4]), 1e6)).all()
+    assert np.allclose(amplitude_weight(inflow, everything, 1e6), [2.5, 2.5, 0, 0, 0])
+    assert np.isfinite(amplitude_weight(inflow, np.array([3, 4]), 1e6)).all()
     steady = 1 + np.array([1e-6, 1e-6, 1e-6, 1.0, 2.0])[:, None] * wave
-    found = fast.wave_weight(steady, everything, 1.0)
+    found = amplitude_weight(steady, everything, 1.0)
     assert np.allclose(found / found[-1], [10, 10, 10, 2, 1])
 
 
 def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything, monkeypatch):
     seen = {}
 
-    class Seen(KnownFlow):
+    class Seen(Collocation):
         def __init__(self, flow, area, weight, *others):
             seen["known flow"] = weight
             super().__init__(flow, area, weight, *others)
@@ -637,12 +645,12 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything,
         seen["equation"] = weight
         return make(inputs, target, weight, *others)
 
-    monkeypatch.setattr(fast, "KnownFlow", Seen)
+    monkeypatch.setattr(flow_fit, "Collocation", Seen)
     monkeypatch.setattr(engine.flow, "objective", objective)
     area = undeformed(small_cases.area_undeformed, 20)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
-    fast.fit_flow([start], small_cases, area, everything, engine, LITTLE, 2)
-    expected = fast.wave_weight(
+    fit_flow([start], small_cases, area, everything, engine, LITTLE, 2)
+    expected = amplitude_weight(
         small_cases.inflow, everything[0], LITTLE.full_batch.amplitude_exponent
     )
     assert np.ptp(expected) > 0.1
@@ -665,7 +673,7 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
         # The decay is in units of the flow's squares.
         decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
         settings = config.replace(full_batch={"weight_decay": decay})
-        known = KnownFlow(*arrays, weights, small_cases.z, chosen, whitening, settings)
+        known = Collocation(*arrays, weights, small_cases.z, chosen, whitening, settings)
         found.append(known._objective(whitening.coordinates(vector)[: -known._last]))
     (loss, gradient), (expected, its_gradient) = found
     assert loss == pytest.approx(expected, rel=1e-8)
@@ -697,7 +705,8 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
     config = LITTLE.replace(full_batch=settings)
     known, _, area = known_flow(small_cases, config, everything)
     start, losses = initial_parameters(config, 20, 21, 0).flow, []
-    fitted = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
+    found = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
+    fitted = found.parameters
     assert all(later <= earlier for earlier, later in pairwise(losses))
     inputs = FlowInputs(small_cases.inflow, area)
     through, _ = engine.flow.loss_and_gradient(fitted, inputs, small_cases.flow, grid, config)
@@ -711,8 +720,9 @@ def test_starts_whose_equation_diverges_are_left(engine, small_cases, validation
     parts = training_and_validation(small_cases, validation, 0)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
     area = undeformed(small_cases.area_undeformed, 20)
-    monkeypatch.setattr(KnownFlow, "fit", lambda *_: np.full_like(start, 1e6))
-    fitted = fast.fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
+    far = unchanged(np.full_like(start, 1e6))
+    monkeypatch.setattr(Collocation, "fit", lambda *_, **__: far)
+    fitted = fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     assert np.isfinite(fitted).all() and np.abs(fitted).max() < 1e3
 
 
@@ -738,7 +748,7 @@ def elastic_cases():
 def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycles):
     cases, chosen = elastic_cases, np.arange(4)
     config = LITTLE.replace(fourier_area={"anchor": anchor})
-    balanced = fast.balanced_flow(cases, chosen, config)
+    balanced = balanced_flow(cases, chosen, config)
     assert np.allclose(balanced[:, :, 0], cases.flow[:, :, 0], rtol=1e-12)
     change = balanced - cases.flow
     assert np.allclose(change, change.mean(axis=1, keepdims=True), atol=1e-12)
@@ -748,7 +758,7 @@ def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycle
     asked = -(start[:, 1:] + start[:, :-1]) / 2
     a_hat = asked / (cycles * slope)  # of one second
     assert np.allclose(a_hat, 0.5, rtol=0.01)  # ∂V/∂t by differences
-    few = fast.balanced_flow(cases, chosen[:2], config)
+    few = balanced_flow(cases, chosen[:2], config)
     assert not np.allclose(few, balanced)
 
 
@@ -757,16 +767,16 @@ def test_the_balanced_flow_leads_to_the_areas_start(elastic_cases, anchor, cycle
 )
 def test_the_datas_own_mean_flow(elastic_cases, change):
     config = LITTLE.replace(**change)
-    assert fast.balanced_flow(elastic_cases, np.arange(4), config) is elastic_cases.flow
+    assert balanced_flow(elastic_cases, np.arange(4), config) is elastic_cases.flow
 
 
 def test_where_flow_and_volume_do_not_agree_the_flow_is_the_datas(small_cases, everything):
-    assert fast.balanced_flow(small_cases, *everything, LITTLE) is small_cases.flow
+    assert balanced_flow(small_cases, *everything, LITTLE) is small_cases.flow
     still = np.repeat(small_cases.area_undeformed[:, None], 20, axis=1)
     same = np.repeat(small_cases.flow[:, :, :1], 21, axis=2)
     grid = {"time": small_cases.time, "z": small_cases.z, "period": 1.0}
     rigid = Cases(same, still, small_cases.pressure, small_cases.area_undeformed, **grid)
-    assert fast.balanced_flow(rigid, *everything, LITTLE) is rigid.flow
+    assert balanced_flow(rigid, *everything, LITTLE) is rigid.flow
 
 
 @pytest.mark.julia
@@ -789,7 +799,7 @@ def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_
 
     path = tmp_path / "checkpoint"
     with pytest.raises(KeyboardInterrupt):
-        train(small_cases, julia, config, checkpoint=path, on_record=stop)
+        train(small_cases, julia, config, checkpoint=path, on_iteration=stop)
     again = train(small_cases, julia, config, checkpoint=path)
     assert again.parameters == whole.parameters
     assert without_seconds(again.history) == without_seconds(whole.history)

@@ -26,7 +26,7 @@ from pcnde_bridge.training.checkpoint import (
     previous,
     remove,
 )
-from pcnde_bridge.training.trainer import Trainer
+from pcnde_bridge.training.trainer import Trainer, staged_training
 
 
 def number(facts, arrays):
@@ -136,13 +136,13 @@ def test_the_run_is_told_and_another_is_refused(checkpoint, new, small_cases, to
 
 
 def stop_after(count):
-    def on_record(record):
+    def on_iteration(record):
         nonlocal count
         count -= 1
         if count == 0:
             raise KeyboardInterrupt
 
-    return on_record
+    return on_iteration
 
 
 def test_training_goes_on_from_the_one_before_to_the_same_bits(
@@ -153,7 +153,8 @@ def test_training_goes_on_from_the_one_before_to_the_same_bits(
     with pytest.raises(KeyboardInterrupt):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=stop_after(25))
     path.write_bytes(path.read_bytes()[:1000])
-    finished = Trainer(small_cases, toy_config, toy_engine, checkpoint=path).start(0).finished
+    procedure = staged_training(small_cases, toy_config, toy_engine)
+    finished = Trainer(procedure, path).start(0).finished
     assert finished > 0
     model = PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)
     assert "Continuing from the checkpoint before it" in caplog.text

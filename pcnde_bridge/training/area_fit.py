@@ -1,0 +1,63 @@
+"""Fit of the area stages on all cases at once: exact least squares, point by point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.engines.protocol import Engine, Stage
+from pcnde_bridge.engines.staged import initial_area
+from pcnde_bridge.engines.types import Fit, FourierAreaInputs, IntermediateAreaInputs, OnIteration
+from pcnde_bridge.training.least_squares import solve_per_point
+
+
+def fit_area_stage(
+    stage: Stage[Any],
+    inputs: Any,
+    target: Array,
+    grid: Grid,
+    config: PCNDEConfig,
+    on_iteration: OnIteration | None = None,
+) -> Fit:
+    """Fit a, b of S = known + a(z)·f + b(z)·g to the last cycle.
+
+    The stage itself gives known, f and g.
+
+    Parameters
+    ----------
+    stage, inputs, target, grid, config, on_iteration
+        Stage of an engine, and arguments of its ``fit``.
+
+    Returns
+    -------
+    Fit
+        a and b, each of shape (z,), as one vector.
+    """
+    n_times, n_points = target.shape[1:]
+
+    def solve(a: float, b: float) -> Array:
+        vector = np.repeat([a, b], n_points)
+        return stage.solve(vector, inputs, grid, config)[:, -n_times:]
+
+    known = solve(0.0, 0.0)
+    columns = [solve(1.0, 0.0) - known, solve(0.0, 1.0) - known]
+    unknowns, loss = solve_per_point(columns, target - known)
+    if on_iteration is not None:
+        on_iteration(1, loss)
+    return Fit(unknowns.ravel(), np.array([loss]), True, "least squares")
+
+
+def fit_area(flow: Array, cases: Cases, engine: Engine, config: PCNDEConfig) -> tuple[Array, Array]:
+    """Fit both area stages on a flow (case, time, z): return (â, b̂) and (a, b)."""
+    grid = cases.grid
+    first = IntermediateAreaInputs(flow, cases.area_undeformed)
+    intermediate = fit_area_stage(engine.intermediate_area, first, cases.area, grid, config)
+    start = engine.intermediate_area.solve(intermediate.parameters, first, grid, config)
+    second = FourierAreaInputs(flow, initial_area(start, cases.n_times, config))
+    fourier = fit_area_stage(engine.fourier_area, second, cases.area, grid, config)
+    return intermediate.parameters, fourier.parameters

@@ -1,0 +1,182 @@
+"""Training of the ``physics`` preset: one closure after the other, then the ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from pcnde_bridge._typing import AnyArray
+from pcnde_bridge.config import ClosureConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import check_resolution
+from pcnde_bridge.data.splits import neighboring_folds
+from pcnde_bridge.engines.closure_parameters import CLOSURES, sizes
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.training.closure_fit import (
+    first_correction,
+    fit_correction,
+    fit_losses,
+    fit_outlet,
+    fit_wall,
+)
+from pcnde_bridge.training.history import Recorder
+from pcnde_bridge.training.procedure import Procedure, Step
+from pcnde_bridge.training.state import ClosureState
+from pcnde_bridge.uncertainty.sampling import calibrate
+
+FORMAT, FORMAT_VERSION = "pcnde-closures-checkpoint", 1
+
+_CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
+_RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
+
+
+class ClosureTraining(Procedure[ClosureState]):
+    """Training procedure of the closures.
+
+    The correction is fitted to all cases, then once more for each fold of the cases that is
+    left out; these fits are the ensemble that gives the uncertainty.
+
+    Parameters
+    ----------
+    cases : Cases
+        All training cases.
+    config : ClosureConfig
+        Settings; the attribute ``config`` has the wall law that was chosen for ``auto``.
+    engine : Engine
+        Compute engine.
+
+    Raises
+    ------
+    InputError
+        If the closures cannot be trained on the cases.
+    """
+
+    checkpoint_format = FORMAT, FORMAT_VERSION
+    config: ClosureConfig
+
+    def __init__(self, cases: Cases, config: ClosureConfig, engine: Engine) -> None:
+        _check(cases)
+        self.cases, self.engine = cases, engine
+        self.config = _with_wall_law(cases, config)
+        folds = config.correction.folds
+        self._left_out = neighboring_folds(cases, folds) if folds else []
+
+    def start(self, seed: int) -> ClosureState:
+        """Return the state without any closure."""
+        return ClosureState(seed=seed, vectors={})
+
+    def steps(self, _: ClosureState) -> list[Step]:
+        """Return all steps: one for each closure, then one for each fold that is left out."""
+        members = [Step("correction", number + 2) for number in range(len(self._left_out))]
+        return [*(Step(name) for name in CLOSURES), *members]
+
+    def count_iterations(self, _: ClosureState) -> int:
+        """Return the largest possible number of iterations."""
+        return 3 * self.config.correction.evaluations + len(self._left_out) * self._few
+
+    @property
+    def _few(self) -> int:
+        """Largest number of evaluations of the ensemble's fits, which start from a fit."""
+        return max(self.config.correction.evaluations // 5, 2)
+
+    def fit(self, step: Step, state: ClosureState, recorder: Recorder) -> ClosureState:
+        """Return the state with one more closure, or member of the ensemble.
+
+        Raises
+        ------
+        SolveError
+            If the equations cannot be evaluated.
+        """
+        cases, config, closures = self.cases, self.config, self.engine.closures
+        name = step.task
+        if name == "outlet":
+            return self._add(state, name, fit_outlet(cases, config))
+        if name in ("losses", "wall"):
+            fit_closure = fit_losses if name == "losses" else fit_wall
+            optimize = partial(fit_closure, closures, cases, config)
+            return self._add(state, name, recorder.run(name, 1, 1, optimize))
+        weight = np.ones(len(cases))
+        if step.epoch == 1:
+            first = first_correction(cases, config, np.random.default_rng([state.seed, 0]))
+            evaluations = config.correction.evaluations
+        else:
+            name = f"member_{step.epoch - 2}"
+            first, evaluations = state.vectors["correction"], self._few
+            weight[self._left_out[step.epoch - 2]] = 0
+        fitted = state.parameters, cases, config, first, weight, evaluations
+        optimize = partial(fit_correction, closures, *fitted)
+        return self._add(state, name, recorder.run("correction", step.epoch, 1, optimize))
+
+    @staticmethod
+    def _add(state: ClosureState, name: str, vector: AnyArray) -> ClosureState:
+        return replace(state, vectors={**state.vectors, name: vector})
+
+    def finish(self, state: ClosureState) -> ClosureState:
+        """Calibrate the uncertainty on the folds that were left out."""
+        if not self._left_out:
+            return state
+        members = [state.vectors[f"member_{k}"] for k in range(len(self._left_out))]
+        uncertainty = calibrate(
+            self.engine.closures,
+            state.parameters,
+            members,
+            self._left_out,
+            self.cases,
+            self.config,
+            np.random.default_rng([state.seed, 1]),
+        )
+        return replace(state, uncertainty=uncertainty)
+
+    def count_numbers(self, _: ClosureState) -> int:
+        """Count the parameters of all closures and members."""
+        lengths = sizes(self.config)
+        return sum(lengths.values()) + len(self._left_out) * lengths["correction"]
+
+    def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
+        """Return facts and arrays of a checkpoint."""
+        return {"vectors": list(state.vectors)}, dict(state.vectors)
+
+    def from_archive(
+        self, facts: Mapping[str, Any], arrays: Mapping[str, AnyArray]
+    ) -> ClosureState:
+        """Restore a state from the facts and arrays of a checkpoint.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If a vector is missing, or is of another length or not finite.
+        """
+        lengths = sizes(self.config)
+        vectors = {name: arrays[name] for name in facts["vectors"]}
+        for name, vector in vectors.items():
+            needed = lengths["correction" if name.startswith("member_") else name]
+            if vector.shape != (needed,) or not np.isfinite(vector).all():
+                raise ValueError(f"{name} must be {needed} finite numbers, got {vector.shape}")
+        return ClosureState(seed=facts["seed"], finished=len(vectors), vectors=vectors)
+
+
+def _check(cases: Cases) -> None:
+    check_resolution(cases.n_times, cases.n_points)
+    if float(np.std(cases.flow[:, :, -1])) == 0 or float(np.ptp(cases.pressure)) == 0:
+        raise InputError("The training cases' flow and pressure do not vary: nothing to learn.")
+    if float(np.ptp(cases.area, axis=1).max()) <= _RIGID * float(cases.area.max()):
+        raise InputError(
+            "The training cases' area does not change in time: their inflow is steady or "
+            "their walls are rigid. The physics preset learns from compliant walls in "
+            "pulsatile flow; use the preset 'paper' or 'fast'."
+        )
+
+
+def _with_wall_law(cases: Cases, config: ClosureConfig) -> ClosureConfig:
+    """Choose the wall law by whether the ends of the training cases move."""
+    if config.wall.law != "auto":
+        return config
+    variation = np.ptp(cases.area, axis=1)
+    largest = variation.max(axis=1, keepdims=True)
+    clamped = bool((variation[:, [0, -1]] <= _CLAMPED * largest).all())
+    return config.replace(wall={"law": "membrane" if clamped else "local"})
