@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import socket
 import warnings
 from importlib.util import find_spec
@@ -154,7 +153,6 @@ def serve(model: PCNDE, name: str, port: int = 8050) -> None:
     server = make_server(model, name, port)
     # The page itself shows these.
     warnings.filterwarnings("ignore", category=OutsideTrainingWarning)
-    logging.getLogger("pcnde_bridge.hemodynamics.solver").setLevel(logging.WARNING)
     print(f"Explore {name} at http://{ADDRESS}:{server.port} (Ctrl-C ends).", flush=True)
     try:
         server.serve_forever()

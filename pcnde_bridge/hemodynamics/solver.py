@@ -34,8 +34,7 @@ waveforms are computed to 1e-5 of the flow and 1e-3 of the pressure.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,7 +158,7 @@ class Tube1D(TubeSettings):
         """Solve vessels given by their undeformed area.
 
         Every case starts from rest (Q = 0).  Periodicity and volume balance of
-        each case are logged and returned as labels.  A slow outlet, or a soft wall,
+        each case are returned as labels, and logged at level DEBUG.  A slow outlet, or a soft wall,
         needs many cycles to fill, unless ``initial_pressure`` is near the mean.
 
         Parameters
@@ -293,17 +292,6 @@ class Tube1D(TubeSettings):
         )
 
 
-@contextmanager
-def warnings_only() -> Iterator[None]:
-    """Suppress the solver's log line for every case; its warnings remain."""
-    level = _log.level
-    _log.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        _log.setLevel(level)
-
-
 def _find_stenosis(z: Array, area_undeformed: Array, length: float) -> tuple[Stenosis, ...]:
     # An even taper is no stenosis, nor is a cone, which lies above it.
     taper = np.geomspace(area_undeformed[0], area_undeformed[-1], len(z))
@@ -332,7 +320,7 @@ def _periodicity(last: list[Array], previous: list[Array] | None) -> Array:
 
 def _report(periodicity: Array, volume_balance: Array) -> None:
     for i, (change, balance) in enumerate(zip(periodicity, volume_balance, strict=True)):
-        _log.info("Case %d: periodicity %.1e, volume balance %.1e.", i, change, balance)
+        _log.debug("Case %d: periodicity %.1e, volume balance %.1e.", i, change, balance)
     late = np.flatnonzero(periodicity > _NOT_PERIODIC)
     if len(late):
         _log.warning(

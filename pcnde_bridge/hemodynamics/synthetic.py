@@ -8,9 +8,7 @@ show how well the model learns, not how well a 1D model represents 3D flow.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import json
 import logging
 import os
 from collections.abc import Sequence
@@ -26,7 +24,7 @@ from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.hemodynamics.discretization import discretize_vessels
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.outlet import Windkessel
-from pcnde_bridge.hemodynamics.solver import Tube1D, warnings_only
+from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.waveform import DATA_FACTORS, Waveform, coronary
 
 BLOCKAGES = (0.40, 0.85)
@@ -174,16 +172,8 @@ def _key(
     vessels: Sequence[Vessel], waveforms: Sequence[Waveform], n_points: int, tube: Tube1D
 ) -> str:
     """Checksum of everything that the numbers depend on."""
-    content = {
-        "version": DATA_VERSION,
-        "vessels": [dataclasses.asdict(vessel) for vessel in vessels],
-        "waveforms": [dataclasses.asdict(waveform) for waveform in waveforms],
-        "resistance": OUTLET_RESISTANCE,
-        "n_points": n_points,
-        "wall": type(tube.wall).__name__,
-        "tube": dataclasses.asdict(tube),
-    }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    content = (DATA_VERSION, vessels, waveforms, OUTLET_RESISTANCE, n_points, tube)
+    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 
 def _solve(
@@ -214,11 +204,10 @@ def _solve(
     for vessel, table in batches:  # all of them before anything is computed
         discretize_vessels(tube, [vessel] * n, waveforms, outlet, n_points, labels=table)
     description, console = f"Computing {len(vessels) * n} cases", Console(stderr=True)
-    with warnings_only():
-        parts = [
-            tube.simulate([vessel] * n, waveforms, outlet, n_points=n_points, labels=table)
-            for vessel, table in track(batches, description, console=console, disable=not progress)
-        ]
+    parts = [
+        tube.simulate([vessel] * n, waveforms, outlet, n_points=n_points, labels=table)
+        for vessel, table in track(batches, description, console=console, disable=not progress)
+    ]
     cases = _concatenate(parts)
     _log.info(
         "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst.",

@@ -26,7 +26,6 @@ from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
 from pcnde_bridge.evaluation.baselines import FEM_WALL, Baseline, Solver1D
-from pcnde_bridge.hemodynamics.solver import warnings_only
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
@@ -103,8 +102,7 @@ class FigureData:
         if self.other is None:
             return None
         try:
-            with warnings_only():
-                return self.other.fit(self.train).predict(self.evaluated)
+            return self.other.fit(self.train).predict(self.evaluated)
         except (InputError, EngineError) as error:
             _log.warning("The figures omit the other method: %s", error)
             return None

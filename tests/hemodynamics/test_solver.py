@@ -139,7 +139,7 @@ def pulses():
 
 
 def peak(time, values):
-    """Instant and height of the largest value, by a parabola through three samples."""
+    """Time and height of the largest value, by a parabola through three samples."""
     k = int(np.argmax(np.abs(values)))
     a, b, _ = np.polyfit(time[k - 1 : k + 2] - time[k], values[k - 1 : k + 2], 2)
     return time[k] - b / (2 * a), values[k] - b**2 / (4 * a)
@@ -206,7 +206,7 @@ def test_volume_is_conserved_and_the_cycle_is_periodic(in_time, in_space):
 
 
 def test_volume_of_the_returned_cycle_balances(in_time):
-    """The data set itself obeys dV/dt = Q(0) − Q(L), as far as 20 instants can tell."""
+    """The data set obeys dV/dt = Q(0) − Q(L), within what 20 time points resolve."""
     cases = in_time[-1]
     volume = trapezoid(cases.area, cases.z, axis=2)
     frequency = 2j * np.pi * np.arange(11)
@@ -232,7 +232,7 @@ def test_batch_does_not_change_a_case(in_time):
 
 # ---- published examples --------------------------------------------------------------
 
-# Cases and expected pressures at the inlet from svOneDSolver's own tests
+# Cases and expected pressures at the inlet from the tests of svOneDSolver
 # (SimVascular/svOneDSolver, tests/): 100 mL/s through a nearly rigid tube.
 SV_TUBE = Tube1D(
     wall=OlufsenWall(1e15, -20.0, 1e9), stenosis_loss="effective_length", n_times=4, steps=100
@@ -327,7 +327,7 @@ def test_the_papers_test_cases(published_cases):
 # ---- bad input -----------------------------------------------------------------------
 
 Z, AREA = straight(4.0, 41, n_cases=2)
-WAVES = [Waveform(1.0, (0.2,), (0.0,))] * 2
+WAVEFORMS = [Waveform(1.0, (0.2,), (0.0,))] * 2
 OUTLET = Windkessel(1e5)
 NUMBERS = {"geometry": [1, 2], "waveform": [0, 0]}
 
@@ -341,95 +341,111 @@ def with_value(array, index, value):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), -0.1), WAVES, OUTLET), r"\[1, 7\]"),
-        (lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), np.nan), WAVES, OUTLET), r"\[1, 7\]"),
-        (lambda: Tube1D().solve(Z, AREA[:, 1:], WAVES, OUTLET), r"shape \(n_cases, 41\)"),
-        (lambda: Tube1D().solve(Z[:3], AREA[:, :3], WAVES, OUTLET), r"too coarse"),
-        (lambda: Tube1D().solve(Z**2, AREA, WAVES, OUTLET), r"equal steps"),
+        (lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), -0.1), WAVEFORMS, OUTLET), r"\[1, 7\]"),
         (
-            lambda: Tube1D().simulate([Vessel((Stenosis(0.85),))], WAVES[:1], OUTLET, n_points=21),
+            lambda: Tube1D().solve(Z, with_value(AREA, (1, 7), np.nan), WAVEFORMS, OUTLET),
+            r"\[1, 7\]",
+        ),
+        (lambda: Tube1D().solve(Z, AREA[:, 1:], WAVEFORMS, OUTLET), r"shape \(n_cases, 41\)"),
+        (lambda: Tube1D().solve(Z[:3], AREA[:, :3], WAVEFORMS, OUTLET), r"too coarse"),
+        (lambda: Tube1D().solve(Z**2, AREA, WAVEFORMS, OUTLET), r"equal steps"),
+        (
+            lambda: Tube1D().simulate(
+                [Vessel((Stenosis(0.85),))], WAVEFORMS[:1], OUTLET, n_points=21
+            ),
             r"too coarse: area_undeformed of case 0",
         ),
         (
-            lambda: Tube1D().simulate([Vessel((Stenosis(0.3),))], WAVES[:1], OUTLET, n_points=21),
+            lambda: Tube1D().simulate(
+                [Vessel((Stenosis(0.3),))], WAVEFORMS[:1], OUTLET, n_points=21
+            ),
             r"too coarse: the stenosis of case 0",
         ),
-        (lambda: Tube1D().solve(Z, AREA, WAVES[:1], OUTLET), r"1 waveforms for 2 cases"),
-        (lambda: Tube1D().solve(Z, AREA, [WAVES[0], 1.0], OUTLET), r"waveforms\[1\]"),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS[:1], OUTLET), r"1 waveforms for 2 cases"),
+        (lambda: Tube1D().solve(Z, AREA, [WAVEFORMS[0], 1.0], OUTLET), r"waveforms\[1\]"),
         (
-            lambda: Tube1D().solve(Z, AREA, [WAVES[0], coronary(0.9)], OUTLET),
+            lambda: Tube1D().solve(Z, AREA, [WAVEFORMS[0], coronary(0.9)], OUTLET),
             r"waveforms\[1\] has a period of 0.9 s",
         ),
         (
-            lambda: Tube1D(n_times=10, steps=60).solve(Z, AREA, [WAVES[0], coronary()], OUTLET),
+            lambda: Tube1D(n_times=10, steps=60).solve(Z, AREA, [WAVEFORMS[0], coronary()], OUTLET),
             r"time step is too long: waveforms\[1\] has 8 harmonics",
         ),
         (
-            lambda: Tube1D().solve(Z, AREA, [WAVES[0], Waveform(250.0)], OUTLET),
+            lambda: Tube1D().solve(Z, AREA, [WAVEFORMS[0], Waveform(250.0)], OUTLET),
             r"faster than the pulse wave.*case 1",
         ),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel(-1.0)), r"resistance.*negative"),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel([1e5] * 3)), r"each of 2 cases"),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel([1e5, np.nan])), r"resistance\[1\]"),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS, Windkessel(-1.0)), r"resistance.*negative"),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS, Windkessel([1e5] * 3)), r"each of 2 cases"),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS, Windkessel([1e5, np.nan])), r"resistance\[1\]"),
         (
-            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, initial_pressure=-6e6),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, initial_pressure=-6e6),
             r"initial_pressure.*collapse",
         ),
         (
-            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[Stenosis(0.5)]]),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, stenoses=[[Stenosis(0.5)]]),
             r"1 entries for 2 cases",
         ),
         (
-            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[], [Stenosis(0.5, 4.0)]]),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, stenoses=[[], [Stenosis(0.5, 4.0)]]),
             r"stenosis of case 1 .* too close to the ends",
         ),
         (
             lambda: Tube1D().solve(
-                Z, AREA, WAVES, OUTLET, labels={"geometry": [1, 1], "waveform": [0, 0]}
+                Z, AREA, WAVEFORMS, OUTLET, labels={"geometry": [1, 1], "waveform": [0, 0]}
             ),
             r"two cases alike",
         ),
         (lambda: Tube1D().simulate([], [], OUTLET), r"no vessel"),
         (
             lambda: Tube1D().solve(
-                Z, AREA, WAVES, OUTLET, labels={**NUMBERS, "periodicity": [0.0, 0.0]}
+                Z, AREA, WAVEFORMS, OUTLET, labels={**NUMBERS, "periodicity": [0.0, 0.0]}
             ),
             r"'periodicity', which is the name of a column that the solver",
         ),
         (
             lambda: Tube1D().simulate(
-                [Vessel()] * 2, WAVES, OUTLET, labels={**NUMBERS, "volume_balance": [0, 0]}
+                [Vessel()] * 2, WAVEFORMS, OUTLET, labels={**NUMBERS, "volume_balance": [0, 0]}
             ),
             r"'volume_balance', which is the name of a column that the solver",
         ),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel(np.nan)), r"outlet.resistance is nan"),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, Windkessel("1")), r"resistance must hold real"),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, 1e5), r"outlet must be a Windkessel"),
-        (lambda: Tube1D().simulate([Vessel()] * 2, WAVES, 1e5), r"outlet must be a Windkessel"),
-        (lambda: Tube1D().solve(Z, AREA + 1j, WAVES, OUTLET), r"area_undeformed must hold real"),
         (
-            lambda: Tube1D().solve(Z, np.ma.masked_greater(AREA, 0.1), WAVES, OUTLET),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, Windkessel(np.nan)),
+            r"outlet.resistance is nan",
+        ),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS, Windkessel("1")), r"resistance must hold real"),
+        (lambda: Tube1D().solve(Z, AREA, WAVEFORMS, 1e5), r"outlet must be a Windkessel"),
+        (lambda: Tube1D().simulate([Vessel()] * 2, WAVEFORMS, 1e5), r"outlet must be a Windkessel"),
+        (
+            lambda: Tube1D().solve(Z, AREA + 1j, WAVEFORMS, OUTLET),
+            r"area_undeformed must hold real",
+        ),
+        (
+            lambda: Tube1D().solve(Z, np.ma.masked_greater(AREA, 0.1), WAVEFORMS, OUTLET),
             r"area_undeformed has masked values",
         ),
-        (lambda: Tube1D().simulate(Vessel(), WAVES, OUTLET), r"sequence of Vessel, got Vessel"),
-        (lambda: Tube1D().simulate([1.0] * 2, WAVES, OUTLET), r"vessels\[0\] must be a Vessel"),
+        (lambda: Tube1D().simulate(Vessel(), WAVEFORMS, OUTLET), r"sequence of Vessel, got Vessel"),
+        (lambda: Tube1D().simulate([1.0] * 2, WAVEFORMS, OUTLET), r"vessels\[0\] must be a Vessel"),
         (lambda: Tube1D().solve(Z, AREA, coronary(), OUTLET), r"sequence of Waveform"),
         (
-            lambda: Tube1D().simulate([Vessel()] * 2, WAVES, OUTLET, n_points=101.0),
+            lambda: Tube1D().simulate([Vessel()] * 2, WAVEFORMS, OUTLET, n_points=101.0),
             r"n_points must be a whole number",
         ),
         (
-            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=[[], [0.5]]),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, stenoses=[[], [0.5]]),
             r"stenoses\[1\]\[0\] must be a Stenosis",
         ),
-        (lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, stenoses=0.5), r"stenoses must be a seq"),
         (
-            lambda: Tube1D().solve(Z, AREA, WAVES, OUTLET, initial_pressure="1"),
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, stenoses=0.5),
+            r"stenoses must be a seq",
+        ),
+        (
+            lambda: Tube1D().solve(Z, AREA, WAVEFORMS, OUTLET, initial_pressure="1"),
             r"initial_pressure must be a number",
         ),
         (lambda: Tube1D(density="1"), r"density must be a number \(g/cm³\)"),
         (
-            lambda: Tube1D().simulate([Vessel(), Vessel(length=5.0)], WAVES, OUTLET),
+            lambda: Tube1D().simulate([Vessel(), Vessel(length=5.0)], WAVEFORMS, OUTLET),
             r"Vessel 1 is 5 cm",
         ),
         (lambda: Tube1D(steps=150), r"not a multiple of n_times"),
@@ -458,19 +474,19 @@ def test_data_that_do_not_suit_the_solver(small_cases):
 
 def test_divergence_names_case_time_and_place():
     """Blood is sucked out at 5 mL/s and cannot come back: 0.5 mL are gone after 0.1 s."""
-    waves = [Waveform(0.5), Waveform(-5.0)]
+    waveforms = [Waveform(0.5), Waveform(-5.0)]
     tube = Tube1D(n_times=20, steps=100)
     labels = {"geometry": [3, 4], "waveform": [7, 8]}
     with pytest.raises(
         SolveError, match=r"Case 1 \(geometry 4, waveform 8\) diverged at t = 0\.1 s, near z = "
     ):
-        tube.solve(Z, AREA, waves, Windkessel(1e7), labels=labels)
+        tube.solve(Z, AREA, waveforms, Windkessel(1e7), labels=labels)
 
 
-def test_a_cycle_that_is_not_periodic_is_told(caplog):
+def test_a_cycle_that_is_not_periodic_is_reported(caplog):
     tube = Tube1D(n_times=20, steps=100, cycles=2)
     outlet = Windkessel(1e4, 1e5, 1e-4)  # a time constant of 10 s
-    cases = tube.solve(Z, AREA, WAVES, outlet)
+    cases = tube.solve(Z, AREA, WAVEFORMS, outlet)
     assert cases.labels["periodicity"][0] > 1e-2
     assert "use more cycles" in caplog.text
 
@@ -506,7 +522,7 @@ def test_soft_vessels_start_from_rest(modulus):
 
 
 @pytest.mark.parametrize(("wall", "pressure"), [(LinearWall(), -5.1e6), (OlufsenWall(), 1.8e6)])
-def test_outlet_beyond_the_wall_law_is_told_with_its_place(wall, pressure):
+def test_outlet_beyond_the_wall_law_is_reported_with_its_place(wall, pressure):
     outlet = Windkessel(0.0, distal_pressure=pressure)
     tube = Tube1D(wall, n_times=20, steps=100)
     with pytest.raises(SolveError, match=r"diverged at t = 0\.01 s, near z = 4 cm"):

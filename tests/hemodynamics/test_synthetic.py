@@ -62,7 +62,7 @@ def test_every_geometry_under_every_waveform(cases):
         np.testing.assert_allclose(cases.inflow[i], base.scaled(factor).samples(20), atol=1e-12)
 
 
-def test_the_physics_is_the_solvers(cases):
+def test_physics_is_that_of_the_solver(cases):
     outlet = cases.pressure[:, :, -1] / cases.flow[:, :, -1]
     np.testing.assert_allclose(outlet, OUTLET_RESISTANCE, rtol=1e-9)
     assert cases.labels["periodicity"].max() < 1e-6
@@ -97,7 +97,7 @@ def test_a_single_waveform_is_the_base_itself(solved):
     assert solved[0][2] == (coronary().scaled(1.0),)
 
 
-def test_seed_draws_another_patient():
+def test_seed_gives_another_patient():
     first, again, other = base_waveform(1), base_waveform(1), base_waveform(2)
     assert base_waveform(0) == coronary()
     assert first == again
@@ -109,7 +109,7 @@ def test_seed_draws_another_patient():
         assert 0.8 < wave.mean / coronary().mean < 1.2
 
 
-def test_same_seed_same_bits_and_batches_do_not_matter(cases):
+def test_same_seed_gives_the_same_bits(cases):
     again = synthetic(2, 3, cache=False, **SMALL)
     assert again == cases
 
@@ -178,7 +178,7 @@ def test_numpy_numbers_are_part_of_the_key_too(solved, tmp_path):
     assert len(list(tmp_path.rglob("*.npz"))) == 1
 
 
-def test_new_version_of_the_data_computes_again(solved, tmp_path, monkeypatch):
+def test_new_data_version_is_computed_again(solved, tmp_path, monkeypatch):
     synthetic(2, 3, cache=tmp_path, **SMALL)
     monkeypatch.setattr(module, "DATA_VERSION", module.DATA_VERSION + 1)
     synthetic(2, 3, cache=tmp_path, **SMALL)
@@ -204,13 +204,13 @@ def test_unwriteable_cache_is_only_a_warning(solved, tmp_path, cases, caplog):
     assert "could not be stored in the cache" in caplog.text
 
 
-def test_no_cache_keeps_nothing(solved, tmp_path, monkeypatch):
+def test_no_cache_caches_nothing(solved, tmp_path, monkeypatch):
     monkeypatch.setenv("PCNDE_CACHE", str(tmp_path))
     synthetic(2, 3, cache=False, **SMALL)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_diverging_case_keeps_nothing(tmp_path, monkeypatch):
+def test_diverging_case_caches_nothing(tmp_path, monkeypatch):
     def diverge(*_):
         raise SolveError("Case 0 diverged at t = 0.1 s")
 
@@ -227,7 +227,7 @@ def test_known_by_name(solved, tmp_path, monkeypatch, cases):
     assert len(solved) == 1
 
 
-def test_says_little(caplog, cases):
+def test_logs_one_line(caplog, cases):
     with caplog.at_level(logging.INFO, "pcnde_bridge"), warnings.catch_warnings():
         warnings.simplefilter("error")
         synthetic(2, 3, cache=False, **SMALL)

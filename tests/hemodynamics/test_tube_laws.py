@@ -54,7 +54,7 @@ def test_numbers_of_the_paper():
 
 
 def test_area_beyond_the_end_of_the_law_is_negative():
-    """It had been that of another pressure, on the other branch of a square."""
+    """Not that of another pressure, on the other branch of the square."""
     linear, olufsen = LinearWall(), OlufsenWall()
     end = linear.stiffness
     assert linear.area(np.array([-1.1 * end, -end, -0.9 * end]), 0.1) == pytest.approx(

@@ -58,11 +58,11 @@ def test_series_of_uneven_samples_is_that_of_the_lines():
     flow = np.array([1.0, 2.0, -1.2, 0.8])
     waveform = Waveform.from_samples(flow, time, period)
     assert waveform.n_terms == 60
-    instants = (np.arange(200_000) + 0.5) * (period / 200_000)
-    lines = np.interp(instants, time, flow, period=period)
+    times = (np.arange(200_000) + 0.5) * (period / 200_000)
+    lines = np.interp(times, time, flow, period=period)
     assert waveform.mean == pytest.approx(lines.mean(), rel=1e-8)
     for n in (1, 2, 7, 60):
-        angle = 2 * math.pi * n / period * instants
+        angle = 2 * math.pi * n / period * times
         assert waveform.cosine[n - 1] == pytest.approx(2 * (lines * np.cos(angle)).mean(), abs=1e-8)
         assert waveform.sine[n - 1] == pytest.approx(2 * (lines * np.sin(angle)).mean(), abs=1e-8)
 
