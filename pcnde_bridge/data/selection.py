@@ -12,11 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, IntArray
 from pcnde_bridge._utils.validation import counted, listed
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 
-Positions = npt.NDArray[np.intp]
+Positions = IntArray
+"""Positions of cases in a data set."""
+
 Pairs = list[tuple[int, int]]
 """Cases by their labels (geometry, waveform)."""
 

@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcnde_bridge._typing import IntArray
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.selection import Positions as Positions
 from pcnde_bridge.errors import InputError
-
-Positions = IntArray
-"""Positions of cases in a data set."""
 
 _FEWEST = 8  # cases, below which there is no validation set
 

@@ -1,5 +1,5 @@
 # Settings, one struct per group; names, meanings and defaults are those of the
-# Python package's `config.py`, which validates them.
+# Python package's `config/settings.py`, which validates them.
 
 """
 Blood, wall and stenosis, CGS: g/cm³, poise, dyn/cm², cm.
