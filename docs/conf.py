@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import types
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +37,12 @@ autosummary_generate = True
 autodoc_typehints = "none"  # the signature would repeat the docstring's types
 numpydoc_show_class_members = False
 
-# The notebooks are run by the tests; here they are shown as they are kept.
+# The tests run the notebooks; the site shows them as they are stored.
 nb_execution_mode = "off"
 
 
 def _bring_notebooks() -> None:
-    """Sphinx reads pages below its own folder only."""
+    """Copy the notebooks, because Sphinx only reads pages below its own folder."""
     shutil.rmtree(HERE / "notebooks", ignore_errors=True)
     shutil.copytree(
         HERE.parent / "notebooks",
@@ -56,10 +57,18 @@ _bring_notebooks()
 def _keep_bars(
     app: object, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
-    """Show the |Q| of an equation, which reStructuredText takes for a substitution."""
+    """Escape the bars of |Q|, which reStructuredText would read as a substitution."""
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+def _skip_aliases(
+    app: object, what: str, name: str, obj: object, skip: bool, options: object
+) -> bool | None:
+    """Leave out type aliases, whose signature Sphinx cannot format."""
+    return True if isinstance(obj, types.GenericAlias) else None
+
+
 def setup(app: Any) -> None:
-    """Register the hook with Sphinx."""
+    """Register the hooks with Sphinx."""
     app.connect("autodoc-process-docstring", _keep_bars)
+    app.connect("autodoc-skip-member", _skip_aliases)
