@@ -1,0 +1,84 @@
+"""Figures of errors: values, labels and frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plot_helpers import MMHG, TRUTH, drawn, fits
+
+from pcnde_bridge import InputError, plots
+from pcnde_bridge.studies import (
+    box_statistics,
+    error_matrix,
+    pointwise_errors,
+)
+
+
+def test_error_matrix(small_cases, predicted):
+    train = small_cases.split("paper").train
+    matrices = error_matrix(predicted, small_cases)
+    figure = fits(plots.error_matrix(matrices, train))
+    assert len(figure.axes) == 3
+    axis = figure.axes[1]
+    assert axis.get_title() == "area S: relative error (%)"
+    assert (axis.get_xlabel(), figure.axes[0].get_ylabel()) == ("waveform", "geometry")
+    assert [text.get_text() for text in axis.texts] == ["1.00"] * 12
+    assert [tick.get_text() for tick in axis.get_yticklabels()] == ["1", "2", "3"]
+    # The frame encloses 2 × 3 training cases: as many sides as their outline has.
+    assert len(axis.lines) == 10
+    xs = np.concatenate([line.get_xdata() for line in axis.lines])
+    ys = np.concatenate([line.get_ydata() for line in axis.lines])
+    assert (xs.min(), xs.max(), ys.min(), ys.max()) == (-0.5, 2.5, -0.5, 1.5)
+    with pytest.raises(InputError, match="no error matrix"):
+        plots.error_matrix({})
+
+
+def test_error_matrix_with_gaps(small_cases, predicted):
+    chosen = small_cases.select([0, 5])
+    matrices = error_matrix({"flow": predicted["flow"][[0, 5]]}, chosen)
+    figure = fits(plots.error_matrix(matrices))
+    assert len(figure.axes[0].texts) == 2
+
+
+def test_pointwise_errors(small_cases, predicted):
+    case = small_cases.select([11])
+    errors = pointwise_errors({name: v[[11]] for name, v in predicted.items()}, case)
+    figure = fits(plots.pointwise_errors(errors))
+    panels, bars = figure.axes[:9], figure.axes[9:]
+    assert [axis.get_ylabel() for axis in panels[::3]] == [
+        "3D, averaged\ntime t (s)",
+        "PCNDE\ntime t (s)",
+        "absolute error\ntime t (s)",
+    ]
+    assert [axis.get_xlabel() for axis in panels[6:]] == ["position z (cm)"] * 3
+    labels = {bar.get_ylabel() for bar in bars}
+    assert labels == {
+        "flow Q (mL/s)",
+        "area S (mm²)",
+        "pressure p (mmHg)",
+        "|ΔQ| (mL/s)",
+        "|ΔS| / S(t = 0)",
+        "|Δp| (mmHg)",
+    }
+    truth, model, wrong = (panels[i].collections[0] for i in (2, 5, 8))
+    np.testing.assert_allclose(truth.get_array(), case.pressure[0] / MMHG)
+    np.testing.assert_allclose(wrong.get_array(), 2e3 / MMHG, rtol=1e-9)
+    assert truth.get_clim() == model.get_clim()
+    area = panels[7].collections[0].get_array()
+    np.testing.assert_allclose(area, 0.01 * case.area[0] / case.area[0, 0])
+
+
+def test_box_plots(small_cases, predicted):
+    methods = {"PCNDE": predicted, "1D solver": {"flow": small_cases.flow * 0.9}}
+    statistics = box_statistics(methods, small_cases)
+    figure = fits(plots.box_plots(statistics))
+    flow, _, pressure = figure.axes
+    assert figure.axes[0].get_ylabel() == "pointwise relative error (%)"
+    assert [tick.get_text() for tick in flow.get_xticklabels()] == ["PCNDE", "1D solver"]
+    assert [tick.get_text() for tick in pressure.get_xticklabels()] == ["PCNDE"]
+    medians = drawn(flow, TRUTH)
+    np.testing.assert_allclose(medians[:, 0], [1.0, 10.0])
+    crosses = [line.get_ydata()[0] for line in pressure.lines if line.get_marker() == "x"]
+    assert crosses == pytest.approx([100 * statistics.loc[("pressure", "PCNDE"), "largest"]])
+    with pytest.raises(InputError, match="no errors"):
+        plots.box_plots(statistics.iloc[:0])
