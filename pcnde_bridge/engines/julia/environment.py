@@ -197,11 +197,10 @@ def _named() -> dict[str, Any]:
     """Return the source and, unless that is juliapkg, the executable and the project."""
     juliacall = sys.modules.get("juliacall")
     if juliacall is not None and juliacall.CONFIG.get("inited"):
-        executable, project = (juliacall.CONFIG.get(key) for key in ("exepath", "project"))
-        return {"source": "running", "executable": executable, "project": project}
+        return _paths("running", juliacall.CONFIG.get("exepath"), juliacall.CONFIG.get("project"))
     executable, project = os.environ.get(EXECUTABLE), os.environ.get(PROJECT)
     if executable and project:
-        return {"source": "environment", "executable": executable, "project": project}
+        return _paths("environment", executable, project)
     if executable or project:
         raise EngineUnavailableError(
             f"{EXECUTABLE} and {PROJECT} must be set together: set the other one too, or neither."
@@ -211,14 +210,22 @@ def _named() -> dict[str, Any]:
         return {"source": "juliapkg"}
     try:
         settings = json.loads(file.read_text(encoding="utf-8"))
-        named = {name: str(settings[name]) for name in ("executable", "project")}
+        named = _paths("file", settings["executable"], settings["project"])
         variables = {str(k): str(v) for k, v in settings.get("environment", {}).items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise EngineUnavailableError(
             f"{file} cannot be read as Julia settings ({error!r}): it needs the JSON keys "
             '"executable" and "project". Correct or remove it.'
         ) from error
-    return {"source": "file", **named, "environment": variables}
+    return {**named, "environment": variables}
+
+
+def _paths(source: str, executable: str | None, project: str | None) -> dict[str, Any]:
+    return {
+        "source": source,
+        "executable": Path(executable or "julia"),
+        "project": Path(project or ""),
+    }
 
 
 def _by_juliapkg(facts: dict[str, Any]) -> dict[str, Any]:
@@ -227,7 +234,7 @@ def _by_juliapkg(facts: dict[str, Any]) -> dict[str, Any]:
         import juliapkg
 
         if juliapkg.resolve(dry_run=True):
-            return {"executable": juliapkg.executable(), "project": juliapkg.project()}
+            return _paths("juliapkg", juliapkg.executable(), juliapkg.project())
     except Exception as error:
         raise EngineUnavailableError(
             f"juliapkg, which installs Julia, failed: {error}. {how_to_prepare()}"
@@ -250,7 +257,7 @@ def _executable(facts: Mapping[str, Any]) -> dict[str, Any]:
 
     named = {"environment": EXECUTABLE, "file": str(julia_settings_file())}
     where = named.get(facts["source"], facts["source"])
-    executable = shutil.which(facts["executable"] or "julia")
+    executable = shutil.which(facts["executable"])
     if executable is None:
         raise EngineUnavailableError(
             f"There is no Julia at {facts['executable']}, which {where} names. Correct it there."
@@ -267,7 +274,7 @@ def _executable(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def _packages(facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the checked packages of the project."""
-    project = Path(facts["project"] or "")
+    project = facts["project"]
     versions, core = _read_manifest(project)
     missing = [name for name in _NEEDED if not versions.get(name)]
     if core is not None:  # its sources can be newer than the manifest
@@ -281,7 +288,6 @@ def _packages(facts: Mapping[str, Any]) -> dict[str, Any]:
     check_core(versions["PCNDECore"], core or project, project)
     variables = {**facts.get("environment", {}), **os.environ}
     return {
-        "project": project,
         "packages": {name: versions[name] for name in _COMPUTING if versions.get(name)},
         "precompiled": _is_precompiled(facts["version"], variables.get("JULIA_DEPOT_PATH", "")),
         "warning": _difference(core),
