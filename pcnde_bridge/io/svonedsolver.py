@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -25,8 +24,9 @@ from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
 from pcnde_bridge.io.vessel_results import VesselResults
 
 
-@dataclass(frozen=True)
-class _Segment:
+class _Segment(NamedTuple):
+    """Line SEGMENT of the input file: lengths in cm, areas in cm²."""
+
     name: str
     length: float
     elements: int
@@ -34,15 +34,6 @@ class _Segment:
     outlet: str
     inlet_area: float
     outlet_area: float
-
-    @classmethod
-    def parse(cls, words: Sequence[str]) -> _Segment:
-        """Return the segment of the words of a line; raise an error if there is none."""
-        length, elements = float(words[3]), int(words[4])
-        if elements < 1 or not length > 0:
-            raise ValueError("the segment has no length or no elements")
-        areas = float(words[7]), float(words[8])
-        return cls(words[1], length, elements, words[5], words[6], *areas)
 
 
 def read_sv1d(
@@ -130,18 +121,21 @@ def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
     model, step = None, None
     segments: dict[str, _Segment] = {}
     for number, line in enumerate(lines, start=1):
-        words = line.partition("#")[0].split()
         try:
-            if words[:1] == ["MODEL"]:
-                model = words[1]
-            elif words[:1] == ["SOLVEROPTIONS"]:
-                step = float(words[1]) * int(words[2])
-            elif words[:1] == ["SEGMENT"]:
-                segment = _Segment.parse(words)
-                if segment.name in segments:
-                    raise ValueError("a segment of this name exists")
-                segments[segment.name] = segment
-        except (IndexError, ValueError) as error:
+            match line.partition("#")[0].split():
+                case ["MODEL", name, *_]:
+                    model = name
+                case ["SOLVEROPTIONS", time_step, every, *_]:
+                    step = float(time_step) * int(every)
+                case ["SEGMENT", name, _, length, elements, inlet, outlet, first, last, *_]:
+                    areas = float(first), float(last)
+                    segment = _Segment(name, float(length), int(elements), inlet, outlet, *areas)
+                    if name in segments or segment.elements < 1 or not segment.length > 0:
+                        raise ValueError("it is repeated, or has no length or no elements")
+                    segments[name] = segment
+                case ["MODEL" | "SOLVEROPTIONS" | "SEGMENT", *_]:
+                    raise ValueError("it is incomplete")
+        except ValueError as error:
             raise FileError(
                 f"{path}, line {number}: {line[:60]!r} is not a line of svOneDSolver's input "
                 f"({error})."
