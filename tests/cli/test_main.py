@@ -412,7 +412,9 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     table = pd.read_csv(folder / "inflows.csv").iloc[:, :6]
     table.to_csv(tmp_path / "five.csv", index=False)
     pd.read_csv(folder / "area.csv").assign(b=0.1).to_csv(bad, index=False)
-    assert "name some cases alike, but b, case" in refused(inflow=tmp_path / "five.csv", area=bad)
+    assert "have some names of cases in common, but b, case" in refused(
+        inflow=tmp_path / "five.csv", area=bad
+    )
     pd.read_csv(bad).set_axis(["z", "a", "b"], axis=1).to_csv(bad, index=False)
     assert "inflow has 5 cases and area_undeformed 2" in refused(
         inflow=tmp_path / "five.csv", area=bad
