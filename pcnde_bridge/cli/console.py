@@ -1,13 +1,14 @@
-"""What the command line says: results on standard output, notes on standard error.
+"""Console output: results on standard output; progress, warnings and errors on standard error.
 
-Text is printed as it stands, since file names may hold anything: ``model[fast].npz`` is no
-markup, and a long path is not broken into lines.
+Text is printed without markup and without line breaks, because file names may contain anything,
+such as ``model[fast].npz``.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TextIO
 
 import typer
@@ -31,12 +32,12 @@ def say(text: str, *, style: str | None = None, end: str = "\n") -> None:
 
 
 def note(text: str, *, style: str | None = None, end: str = "\n") -> None:
-    """Print what is no result: progress, warnings, errors."""
+    """Print progress, a warning or an error."""
     _notes.print(text, style=style, end=end)
 
 
 def show(table: Table) -> None:
-    """Print a table, as wide as the terminal allows."""
+    """Print a table as wide as the terminal allows."""
     _out.print(table, soft_wrap=False)
 
 
@@ -57,7 +58,7 @@ def note_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Say what the package warns of without the line of code that Python would show."""
+    """Print a warning of the package without the line of code that Python would show."""
     if category.__module__.partition(".")[0] == "pcnde_bridge":
         text = str(message)
     else:
@@ -65,7 +66,11 @@ def note_warning(
     note(f"Warning: {text}")
 
 
-def interrupted(where: str) -> typer.Exit:
-    """Say where an interrupted run can continue, and return the exit to raise."""
-    note(f"\nInterrupted. {where}: run the same command again to continue.")
-    return typer.Exit(INTERRUPTED)
+@contextmanager
+def resumable(stored: str) -> Iterator[None]:
+    """On Ctrl-C inside the block, report how to resume, and exit."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        note(f"\nInterrupted. {stored}: run the same command again to continue.")
+        raise typer.Exit(INTERRUPTED) from None

@@ -1,58 +1,39 @@
-"""The commands before any training: simulate, convert and download data, doctor."""
+"""Commands about data and the machine: simulate, convert, download, doctor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from pcnde_bridge._version import __version__
 from pcnde_bridge.cli.console import say
-from pcnde_bridge.cli.options import check_outputs
+from pcnde_bridge.cli.options import check_outputs, option
 from pcnde_bridge.errors import InputError, PCNDEError
 
-
-class FileFormat(StrEnum):
-    """Files that ``pcnde convert`` reads."""
-
-    simvascular = "simvascular"
-    sv1d = "sv1d"
-    csv = "csv"
-    hdf5 = "hdf5"
-
-
-class Flip(StrEnum):
-    """What ``pcnde convert --flip`` turns."""
-
-    flow = "flow"
-    z = "z"
-
-
-DataSetOption = Annotated[Path, typer.Option("--out", help="File for the data set: .npz or .h5.")]
+FileFormat = Literal["simvascular", "sv1d", "csv", "hdf5"]
+DataSetOption = Annotated[Path, option("--out", help="File for the data set: .npz or .h5.")]
 
 
 def simulate(
     out: DataSetOption,
     geometries: Annotated[
-        int, typer.Option("--geometries", min=1, help="Blockages, evenly from 40 to 85 %.")
+        int, option("--geometries", min=1, help="Number of blockages, evenly from 40 to 85 %.")
     ] = 10,
     waveforms: Annotated[
-        int, typer.Option("--waveforms", min=1, help="Waveforms, ever stronger.")
+        int, option("--waveforms", min=1, help="Number of waveforms, of increasing amplitude.")
     ] = 10,
     seed: Annotated[
-        int, typer.Option("--seed", min=0, help="0: built-in waveform; else a variation of it.")
+        int, option("--seed", min=0, help="0: built-in waveform; others: variations of it.")
     ] = 0,
 ) -> None:
-    """Simulate stenosed vessels by the 1D solver (synthetic)."""
+    """Simulate stenosed vessels with the 1D solver."""
     from pcnde_bridge.hemodynamics.synthetic import synthetic
 
     _check_data_set(out)
-    cases = synthetic(geometries, waveforms, seed)
-    cases.save(out)
-    say(f"Saved {cases!r} in {out}.")
+    _save(synthetic(geometries, waveforms, seed), out)
 
 
 def convert(
@@ -60,94 +41,81 @@ def convert(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="simvascular: .vtp centerlines with averaged results. sv1d: svOneDSolver's input "
-            "files (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
+            help="simvascular: .vtp centerlines with averaged results. sv1d: input files of "
+            "svOneDSolver (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
         ),
     ],
-    source: Annotated[FileFormat, typer.Option("--from", help="Who wrote the files.")],
+    source: Annotated[FileFormat, option("--from", help="Program or format of the files.")],
     out: DataSetOption,
     labels: Annotated[
-        Path | None,
-        typer.Option("--labels", help="CSV: file, geometry, waveform, …; one row for each file."),
+        Path | None, option("--labels", help="CSV with one row per file: file, geometry, waveform.")
     ] = None,
     period: Annotated[
-        float | None, typer.Option("--period", help="Of the cycle, s; takes the last whole one.")
+        float | None, option("--period", help="Cycle length, s; the last complete cycle is used.")
     ] = None,
     time_step: Annotated[
-        float | None, typer.Option("--time-step", help="Of the 3D simulation, s (simvascular).")
+        float | None, option("--time-step", help="Time step of the 3D simulation, s (simvascular).")
     ] = None,
     units: Annotated[
         str | None,
-        typer.Option(
-            "--units",
-            help="cgs, mm-g-s or si, or those that are not CGS: pressure=mmHg,z=mm.",
-        ),
+        option("--units", help="cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm."),
     ] = None,
     flip: Annotated[
-        Flip | None, typer.Option("--flip", help="Turn the flow's sign, or the vessel's ends.")
+        Literal["flow", "z"] | None,
+        option("--flip", help="Reverse the sign of the flow, or the direction of the vessel."),
     ] = None,
     time_points: Annotated[
-        int | None,
-        typer.Option("--time-points", help="Resample the cycle to this number of equal steps."),
+        int | None, option("--time-points", help="Resample the cycle to this number of time steps.")
     ] = None,
     points: Annotated[
-        int | None,
-        typer.Option(
-            "--points",
-            help="Resample the vessel to so many points, both ends among them.",
-        ),
+        int | None, option("--points", help="Resample the vessel to this number of points.")
     ] = None,
     branch: Annotated[
-        int | None, typer.Option("--branch", help="BranchId of the vessel (simvascular).")
+        int | None, option("--branch", help="BranchId of the vessel (simvascular).")
     ] = None,
-    rigid: Annotated[
-        bool, typer.Option("--rigid", help="The walls were rigid (simvascular).")
-    ] = False,
+    rigid: Annotated[bool, option("--rigid", help="The walls were rigid (simvascular).")] = False,
     segments: Annotated[
-        str | None, typer.Option("--segments", help="Of the vessel, a,b,c from its inlet (sv1d).")
+        str | None,
+        option("--segments", help="Segments from the inlet: a,b,c (sv1d)."),
     ] = None,
     names: Annotated[
-        str | None, typer.Option("--names", help="Of data sets: flow=/Q,pressure=/P (hdf5).")
+        str | None, option("--names", help="Names of the data sets: flow=/Q,pressure=/P (hdf5).")
     ] = None,
 ) -> None:
-    """Make a data set of other programs' results.
+    """Convert results of other programs into a data set.
 
-    Doubtful ones are refused, with what to do.
+    Ambiguous files are rejected with a suggested fix.
     """
-    from pcnde_bridge import io as formats
+    from pcnde_bridge import io
 
     _check_data_set(out, files)
-    own: dict[str, dict[str, Any]] = {
+    of_format: dict[str, dict[str, Any]] = {
         "simvascular": {"time_step": time_step, "branch": branch, "rigid": rigid or None},
         "sv1d": {"segments": None if segments is None else segments.split(",")},
         "csv": {},
         "hdf5": {"names": _pairs(names, "--names")},
     }
-    for other, options in own.items():
-        asked = [name for name, value in options.items() if value is not None]
-        if other != source.value and asked:
-            raise InputError(
-                f"--{asked[0].replace('_', '-')} goes with --from {other}, not {source.value}."
-            )
-    chosen = {name: value for name, value in own[source.value].items() if value is not None}
-    read = getattr(formats, f"read_{source.value}")
-    cases = read(
+    for name, values in of_format.items():
+        given = [option for option, value in values.items() if value is not None]
+        if name != source and given:
+            wrong = given[0].replace("_", "-")
+            raise InputError(f"--{wrong} goes with --from {name}, not {source}.")
+    cases = getattr(io, f"read_{source}")(
         files,
-        **chosen,
+        **{name: value for name, value in of_format[source].items() if value is not None},
         period=period,
         units=_pairs(units, "--units") if units and "=" in units else units,
-        flip=flip and flip.value,
+        flip=flip,
         time_points=time_points,
         points=points,
-        labels=None if labels is None else formats.read_labels(labels, files),
+        labels=None if labels is None else io.read_labels(labels, files),
     )
-    cases.save(out)
-    say(f"Saved {cases!r} in {out}.")
+    _save(cases, out)
 
 
 def download(
     folder: Annotated[
-        Path | None, typer.Option("--cache", help="Where to put the files; default the cache.")
+        Path | None, option("--cache", help="Folder of the files; by default the cache folder.")
     ] = None,
 ) -> None:
     """Download the published data set (100 cases, about 50 MB)."""
@@ -157,7 +125,7 @@ def download(
 
 
 def doctor() -> None:
-    """Tell what is usable on this machine, and what else to do."""
+    """Check engines and data on this machine and suggest fixes."""
     from pcnde_bridge.cli.doctor import examine
 
     findings = examine()
@@ -173,7 +141,7 @@ def doctor() -> None:
 
 
 def _pairs(text: str | None, option: str) -> dict[str, str] | None:
-    """Read name=value,name=value."""
+    """Parse name=value,name=value."""
     if text is None:
         return None
     parts = [part.partition("=") for part in text.split(",")]
@@ -184,5 +152,10 @@ def _pairs(text: str | None, option: str) -> dict[str, str] | None:
 
 def _check_data_set(path: Path, inputs: Sequence[Path] = ()) -> None:
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
-        raise InputError(f"Cannot tell the format of {path}: it must end in .npz or .h5.")
+        raise InputError(f"Unknown format of {path}: the name must end in .npz or .h5.")
     check_outputs(path, inputs=inputs)
+
+
+def _save(cases: Any, out: Path) -> None:
+    cases.save(out)
+    say(f"Saved {cases!r} in {out}.")

@@ -1,4 +1,4 @@
-"""``pcnde demo``: the whole way from data to predictions, on data of our own."""
+"""``pcnde demo``: from synthetic data to a fitted model and its predictions."""
 
 from __future__ import annotations
 
@@ -11,29 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pcnde_bridge._utils.files import (
-    atomic_write,
-    make_folder,
-    write_json,
-)
+from pcnde_bridge._utils.files import atomic_write, make_folder, write_json
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines import (
-    Engine,
-    EngineName,
-    select_engine,
-)
+from pcnde_bridge.engines import Engine, EngineName, select_engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.evaluation.baselines import Unchanged
 from pcnde_bridge.hemodynamics.synthetic import synthetic
-from pcnde_bridge.model.metrics import (
-    error_table,
-    pooled,
-    pooled_errors,
-)
+from pcnde_bridge.model.metrics import error_table, pooled, pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.plots.paper_figures import hardest_case
 from pcnde_bridge.training import checkpoint as checkpoints
 
@@ -52,28 +39,41 @@ FILES = (
     "prediction.png",
     "history.png",
 )
-"""What the demo writes, beside :data:`MARK`; each file is written whole or not at all."""
+"""Files of the demo beside :data:`MARK`; each is written as a whole or not at all."""
 
 MARK = "demo.json"
-"""File that says which demo a folder holds; written first, and again at the end."""
+"""File that identifies the demo in a folder; written first, and again at the end."""
 
 CHECKPOINT = "model.npz.checkpoint"
 """State of training, removed when the model is saved."""
 
+NEXT_STEPS = """Took {seconds:.0f} s. In {folder}:
+  model.npz           the model
+  cases.npz           the 100 simulated cases; split.json, the training and the test cases
+  errors.csv          errors of every case; history.csv, the loss of every iteration
+  prediction.csv.gz   flow, area and pressure of the test cases
+  prediction.png      the hardest test case; history.png, the loss
+To predict with your own waveform and vessel in these two files:
+  pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv --out mine.csv
+To compare the model with simpler methods:
+  pcnde bench {folder}/cases.npz --model {folder}/model.npz
+To train on the paper's 3D simulations, as in the paper:
+  pcnde fit published --out model.npz"""  # noqa: E501
+
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo found.
+    """Result of the demo.
 
     Attributes
     ----------
     folder : pathlib.Path
-        Holds :data:`FILES` and :data:`MARK`.
+        Folder of :data:`FILES` and :data:`MARK`.
     model : PCNDE
-        The fitted model.
+        Fitted model.
     errors : dict
-        Relative errors by method (``"PCNDE"``, ``"no change"``), set
-        (train, test) and variable, pooled.
+        Relative errors over all cases, by method (``"PCNDE"``, ``"no change"``), set
+        (train, test) and variable.
     seconds : float
         Time of this run.
     """
@@ -93,26 +93,26 @@ def run_demo(
     cases: Cases | None = None,
     progress: bool = True,
 ) -> Demo:
-    """Make the synthetic cases, train, evaluate, and write everything into a folder.
+    """Create synthetic cases, train, evaluate, and write all results into a folder.
 
-    Run again with the same arguments, it continues an interrupted training, or
-    else does everything again and replaces its own files.  It never replaces
-    another demo's files, nor any that it did not write.
+    A second run with the same arguments resumes an interrupted training, or else
+    repeats everything and replaces its own files.  It never replaces the files of
+    another demo, nor any other files.
 
     Parameters
     ----------
     out : path-like
-        The folder, made if it is not there.
+        Folder, created if missing.
     seed : int
-        Of the synthetic waveforms and of the training.
+        Random seed of the synthetic waveforms and of the training.
     engine : {'auto', 'julia', 'jax'} or Engine
-        Who computes.
+        Compute engine.
     config : PCNDEConfig or str
-        Settings of the training, or a preset's name.
+        Settings of the training, or the name of a preset.
     cases : Cases, optional
-        Cases to take in place of the synthetic ones; divided as the paper does.
+        Cases in place of the synthetic ones; they are divided as in the paper.
     progress : bool
-        Show progress on standard error.
+        Whether to show progress on standard error.
 
     Returns
     -------
@@ -124,43 +124,37 @@ def run_demo(
     InputError
         If an argument is not usable, or the folder holds another demo.
     FileError
-        If the folder is a file, holds other files of the same names, or cannot
+        If the folder is a file, holds other files with the same names, or cannot
         be written.
     EngineUnavailableError
-        If the engine asked for cannot be used.
+        If the engine cannot be used.
     """
     began = time.perf_counter()
     settings = resolve_config(config)
-    computing = select_engine(engine)
+    selected = select_engine(engine)
     folder = Path(out)
     facts: dict[str, Any] = {
         "kind": "pcnde-demo",
         "data": "synthetic" if cases is None else cases.fingerprint(),
         "seed": seed,
-        "engine": computing.name,
+        "engine": selected.name,
         "config": json.loads(settings.to_json()),
         "version": __version__,
     }
     _claim(folder, facts)
     data = synthetic(seed=seed, progress=progress) if cases is None else cases
-    train, test = data.split("paper")
+    sets = data.split("paper")._asdict()
     data.save(folder / "cases.npz")
-    pairs = {"train": _keys(train), "test": _keys(test)}
-    write_json(folder / "split.json", pairs, indent=None)
+    write_json(folder / "split.json", {n: _keys(part) for n, part in sets.items()}, indent=None)
 
     state = folder / CHECKPOINT
     model = PCNDE.fit(
-        train, settings, engine=computing, seed=seed, checkpoint=state, progress=progress
+        sets["train"], settings, engine=selected, seed=seed, checkpoint=state, progress=progress
     )
     model.save(folder / "model.npz")
     checkpoints.remove(state)
 
-    predictions = {"train": model.predict(train), "test": model.predict(test)}
-    errors, table = _evaluate(predictions, {"train": train, "test": test})
-    _write_table(folder / "errors.csv", table)
-    _write_table(folder / "history.csv", model.history)
-    truth_label = "1D solver" if cases is None else "data"
-    _write_predictions(folder, predictions["test"], test, model.history, truth_label)
+    errors = _write_results(folder, model, sets, "1D solver" if cases is None else "data")
     seconds = time.perf_counter() - began
     results = {"finished": True, "seconds": round(seconds, 1), "errors": errors}
     write_json(folder / MARK, {**facts, **results})
@@ -168,21 +162,21 @@ def run_demo(
 
 
 def _claim(folder: Path, facts: dict[str, Any]) -> None:
-    """Make the folder this demo's, or say why it cannot be."""
+    """Mark the folder as this demo's, unless it holds other files."""
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder} is a file; give a folder for the demo's files.")
     mark = folder / MARK
     if mark.exists():
         try:
             found = json.loads(mark.read_text(encoding="utf-8"))
-            of_another = [name for name in facts if found.get(name) != facts[name]]
+            differences = [name for name in facts if found.get(name) != facts[name]]
         except (OSError, ValueError, AttributeError, RecursionError) as error:
             raise FileError(
                 f"{mark} is not a demo's: {error}. Give another folder, or remove this one."
             ) from error
-        if of_another:
+        if differences:
             raise InputError(
-                f"{folder} holds the results of another demo (another {', '.join(of_another)}). "
+                f"{folder} holds the results of another demo (another {', '.join(differences)}). "
                 "Give another folder, or remove this one."
             )
         return
@@ -200,33 +194,24 @@ def _keys(cases: Cases) -> list[list[int]]:
     return [[int(value) for value in row] for row in labels.to_numpy()]
 
 
-def _evaluate(
-    predictions: dict[str, Prediction], sets: dict[str, Cases]
-) -> tuple[dict[str, dict[str, dict[str, float]]], pd.DataFrame]:
-    """Pooled errors of model and baseline, and the model's errors case by case."""
-    unchanged = Unchanged().fit(sets["train"])
-    tables = {
-        name: error_table(predictions[name].variables(), cases) for name, cases in sets.items()
-    }
-    errors = {
-        "PCNDE": {name: pooled(table) for name, table in tables.items()},
-        "no change": {
-            name: pooled_errors(unchanged.predict(cases), cases) for name, cases in sets.items()
-        },
-    }
-    return errors, pd.concat(tables, names=["set"]).reset_index()
-
-
-def _write_predictions(
-    folder: Path, prediction: Prediction, test: Cases, history: pd.DataFrame, truth_label: str
-) -> None:
-    """All test cases as a table, the hardest as a figure and as input for ``pcnde predict``."""
+def _write_results(
+    folder: Path, model: PCNDE, sets: dict[str, Cases], truth_label: str
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Write errors, history, predictions and figures; return the errors over all cases."""
     from pcnde_bridge.plots import loss_history, time_and_space
 
-    with atomic_write(folder / "prediction.csv.gz") as temporary:
-        prediction.to_frame().to_csv(
-            temporary, index=False, float_format="%.7g", compression="gzip"
-        )
+    predictions = {name: model.predict(cases) for name, cases in sets.items()}
+    tables = {name: error_table(predictions[name].variables(), sets[name]) for name in sets}
+    baseline = Unchanged().fit(sets["train"])
+    errors = {
+        "PCNDE": {name: pooled(table) for name, table in tables.items()},
+        "no change": {n: pooled_errors(baseline.predict(part), part) for n, part in sets.items()},
+    }
+    _write_table(folder / "errors.csv", pd.concat(tables, names=["set"]).reset_index())
+    _write_table(folder / "history.csv", model.history)
+
+    test, prediction = sets["test"], predictions["test"]
+    _write_table(folder / "prediction.csv.gz", prediction.to_frame(), float_format="%.7g")
     hardest = hardest_case(test)
     inflow = {"time": test.time, "inflow": test.inflow[hardest]}
     _write_table(folder / "inflow.csv", pd.DataFrame(inflow))
@@ -234,12 +219,13 @@ def _write_predictions(
     _write_table(folder / "area.csv", pd.DataFrame(area))
     figure = time_and_space(prediction, test, hardest, truth_label=truth_label)
     _write_figure(folder / "prediction.png", figure)
-    _write_figure(folder / "history.png", loss_history(history))
+    _write_figure(folder / "history.png", loss_history(model.history))
+    return errors
 
 
-def _write_table(path: Path, table: pd.DataFrame) -> None:
-    with atomic_write(path) as temporary:
-        table.to_csv(temporary, index=False)
+def _write_table(path: Path, table: pd.DataFrame, **options: Any) -> None:
+    with atomic_write(path) as temporary:  # its ending also selects the compression
+        table.to_csv(temporary, index=False, **options)
 
 
 def _write_figure(path: Path, figure: Figure) -> None:

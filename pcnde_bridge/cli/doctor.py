@@ -1,9 +1,9 @@
-"""What is usable on this machine: engines, packages, data."""
+"""Findings of ``pcnde doctor``: engines and data on this machine."""
 
 from __future__ import annotations
 
 import platform
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.util import find_spec
 from typing import NamedTuple
 
@@ -13,16 +13,16 @@ from pcnde_bridge.io.datasets import find_published
 
 
 class Finding(NamedTuple):
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes
     ----------
     what, found, advice : str
-        What it is, what was found, and what to do if it is not good.
+        Subject, result, and suggested fix.
     good : bool
-        Whether it can be used as it is.
+        Whether it is usable as it is.
     is_engine : bool
-        Whether it is a computing engine.
+        Whether it is a compute engine.
     """
 
     what: str
@@ -33,38 +33,29 @@ class Finding(NamedTuple):
 
 
 def examine() -> list[Finding]:
-    """Look at everything, without starting an engine."""
-    return [
-        Finding("Python", f"{platform.python_version()} on {platform.machine()}"),
-        _jax(),
-        _julia(),
-        _data(),
-    ]
+    """Check everything without starting an engine."""
+    python = Finding("Python", f"{platform.python_version()} on {platform.machine()}")
+    return [python, _jax(), _julia(), _data()]
 
 
 def _jax() -> Finding:
-    missing = [name for name in ("jax", "diffrax") if find_spec(name) is None]
+    packages = ("jax", "diffrax")
+    missing = [name for name in packages if find_spec(name) is None]
     if missing:
-        return Finding(
-            "engine jax",
-            f"{' and '.join(missing)} missing",
-            f"pip install {' '.join(missing)}",
-            good=False,
-            is_engine=True,
-        )
-    found = f"jax {_version('jax')}, diffrax {_version('diffrax')}"
+        advice = f"pip install {' '.join(missing)}"
+        return Finding("engine jax", f"{' and '.join(missing)} missing", advice, False, True)
+    found = ", ".join(f"{name} {version(name)}" for name in packages)
     return Finding("engine jax", found, is_engine=True)
 
 
 def _julia() -> Finding:
     status = julia_status()
     if not status.usable:
-        return Finding("engine julia", "not usable", status.message, good=False, is_engine=True)
-    packages = ", ".join(f"{name} {found}" for name, found in sorted(status.packages.items()))
+        return Finding("engine julia", "not usable", status.message, False, True)
     facts = [
         f"Julia {status.version or 'running'} ({status.executable}), from {status.source}",
         f"project {status.project}",
-        packages,
+        ", ".join(f"{name} {found}" for name, found in sorted(status.packages.items())),
         "precompiled" if status.precompiled else "not precompiled: the first start takes minutes",
         "offline" if status.offline else "online",
         f"threads {status.threads}, handles signals: {status.handle_signals}",
@@ -74,22 +65,11 @@ def _julia() -> Finding:
 
 
 def _data() -> Finding:
+    advice = "pcnde download, or set PCNDE_DATA to the folder that holds data_3D"
     try:
         folder = find_published()
     except PCNDEError as error:
         return Finding("published data", str(error), "correct PCNDE_DATA", good=False)
     if folder is None:
-        return Finding(
-            "published data",
-            "not on this machine",
-            "pcnde download, or set PCNDE_DATA to the folder that holds data_3D",
-            good=False,
-        )
+        return Finding("published data", "not on this machine", advice, good=False)
     return Finding("published data", str(folder))
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "missing"

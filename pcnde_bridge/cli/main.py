@@ -1,9 +1,6 @@
-"""The command line ``pcnde``.
+"""Entry point of the command line ``pcnde``: names and order of the commands, exit codes.
 
-Its commands are functions of :mod:`pcnde_bridge.cli.data`, :mod:`pcnde_bridge.cli.train` and
-:mod:`pcnde_bridge.cli.predict`; here they get their names and their order.
-
-Exit codes: 0 good, 2 bad use or input, 1 failure, 130 interrupted.
+Exit codes: 0 success, 2 invalid use or input, 1 other failure, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -21,30 +18,14 @@ import typer.core
 
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge._version import __version__
-from pcnde_bridge.cli import (
-    data as prepare,
-)
-from pcnde_bridge.cli import (
-    predict as use,
-)
-from pcnde_bridge.cli import (
-    train,
-)
-from pcnde_bridge.cli.console import (
-    INTERRUPTED,
-    note,
-    note_warning,
-    say,
-)
-from pcnde_bridge.errors import (
-    FileError,
-    InputError,
-    PCNDEError,
-)
+from pcnde_bridge.cli import data, predict, train
+from pcnde_bridge.cli.console import INTERRUPTED, note, note_warning, say
+from pcnde_bridge.cli.options import option
+from pcnde_bridge.errors import FileError, InputError, PCNDEError
 
 
 class _Group(typer.core.TyperGroup):
-    """Ends with 130 after Ctrl-C, at whatever moment it came."""
+    """Group of commands that exits with 130 after Ctrl-C."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -57,19 +38,19 @@ class _Group(typer.core.TyperGroup):
 _COMMANDS: dict[str, Callable[..., None]] = {
     "fit": train.fit,
     "cross-validate": train.cross_validate,
-    "info": use.info,
-    "evaluate": use.evaluate,
-    "predict": use.predict,
+    "info": predict.info,
+    "evaluate": predict.evaluate,
+    "predict": predict.predict,
     "demo": train.demo,
-    "simulate": prepare.simulate,
-    "convert": prepare.convert,
+    "simulate": data.simulate,
+    "convert": data.convert,
     "bench": train.bench,
-    "app": use.explore,
-    "figures": use.figures,
-    "download": prepare.download,
-    "doctor": prepare.doctor,
+    "app": predict.explore,
+    "figures": predict.figures,
+    "download": data.download,
+    "doctor": data.doctor,
 }
-"""In the order of ``pcnde --help``."""
+"""Commands in the order of ``pcnde --help``."""
 
 app = typer.Typer(
     cls=_Group,
@@ -85,8 +66,8 @@ for _name, _command in _COMMANDS.items():
 
 @app.callback(invoke_without_command=True)
 def _global_options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")] = False,
+    version: Annotated[bool, option("--version", help="Print the version.")] = False,
+    verbose: Annotated[bool, option("--verbose", "-v", help="Verbose output.")] = False,
 ) -> None:
     logging.basicConfig(format="%(message)s", level=logging.DEBUG if verbose else logging.WARNING)
     logging.getLogger("pcnde_bridge").setLevel(logging.DEBUG if verbose else logging.INFO)
@@ -98,7 +79,7 @@ def _global_options(
 
 
 def main() -> None:
-    """Run the command line, turning errors into messages and exit codes, warnings into notes."""
+    """Run the command line; errors become messages and exit codes, warnings become notes."""
     warnings.showwarning = note_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -111,18 +92,18 @@ def main() -> None:
         note(str(error))
         sys.exit(2 if isinstance(error, InputError | FileError) else 1)
     except BrokenPipeError:
-        # The reader of a pipe has gone; keep the interpreter from complaining at exit.
+        # The reader of the pipe is gone; without this the interpreter complains at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
 
 
 def run() -> None:
-    """Run the command line in a process of its own."""
+    """Run the command line in its own process."""
     try:
         main()
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            # JAX, interrupted while it compiles, would crash when the interpreter ends.
+            # JAX crashes at the interpreter's exit if it was interrupted while compiling.
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(INTERRUPTED)

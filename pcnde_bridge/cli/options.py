@@ -1,32 +1,24 @@
-"""Arguments and options that several commands share, and what is made of them."""
+"""Arguments and options that several commands share."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pcnde_bridge._utils.files import check_writable
-from pcnde_bridge.config import (
-    PRESETS,
-    ClosureConfig,
-    PCNDEConfig,
-    resolve_config,
-)
+from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import FileError, InputError
 
 
-class EngineChoice(StrEnum):
-    """Engines that ``--engine`` knows."""
-
-    auto = "auto"
-    julia = "julia"
-    jax = "jax"
+def option(*names: str, help: str, **settings: Any) -> Any:
+    """Return an option with its help text."""
+    return typer.Option(*names, help=help, **settings)
 
 
 DataArgument = Annotated[
@@ -40,22 +32,23 @@ DataArgument = Annotated[
 ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a fitted model.")]
 SplitOption = Annotated[
     str,
-    typer.Option(
+    option(
         "--split",
-        help="'paper', 'none' (everything is training), or a JSON file "
+        help="'paper', 'none' (all cases are training cases), or a JSON file "
         '{"train": [[G, W], ...], "test": [...]}.',
     ),
 ]
-PresetOption = Annotated[
-    str, typer.Option("--preset", help=f"Settings by name: {', '.join(PRESETS)}.")
-]
+PresetOption = Annotated[str, option("--preset", help=f"Preset: {', '.join(PRESETS)}.")]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="JSON file of settings that differ.")
+    Path | None, option("--config", help="JSON file of settings that differ from the preset.")
 ]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Of weights and batches.")]
-EngineOption = Annotated[EngineChoice, typer.Option("--engine", help="Who computes.")]
-WorkersOption = Annotated[
-    int, typer.Option("--workers", min=1, help="Processes that compute at the same time.")
+SeedOption = Annotated[
+    int, option("--seed", min=0, help="Random seed for the initial weights and the batch order.")
+]
+EngineOption = Annotated[EngineName, option("--engine", help="Compute engine.")]
+WorkersOption = Annotated[int, option("--workers", min=1, help="Number of parallel processes.")]
+JsonOption = Annotated[
+    Path | None, option("--json", help="Also write the results to this JSON file.")
 ]
 
 
@@ -73,13 +66,13 @@ def settings_of(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
     return settings.replace(**changes)
 
 
-def split_of(cases: Cases, how: str) -> dict[str, Cases]:
-    """Return the sets that ``--split`` makes of the cases: train, and test unless it is none."""
-    return {"train": cases} if how == "none" else cases.split(how)._asdict()
+def split_of(cases: Cases, split: str) -> dict[str, Cases]:
+    """Return the sets of ``--split``: train, and test unless the split is ``none``."""
+    return {"train": cases} if split == "none" else cases.split(split)._asdict()
 
 
 def check_outputs(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:
-    """Refuse files that cannot be written, or would replace one another, before any work."""
+    """Raise before any work if a file cannot be written or would replace another one."""
     known = {path.resolve() for path in inputs}
     for path in paths:
         if path is None:

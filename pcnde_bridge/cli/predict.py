@@ -1,33 +1,29 @@
-"""The commands that use what is trained: info, evaluate, predict, app and figures."""
+"""Commands that use a fitted model: info, evaluate, predict, app, figures."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import pandas as pd
 import typer
 from rich.table import Table
 
-from pcnde_bridge._utils import parallel as tasks
 from pcnde_bridge._utils.files import atomic_write, write_json
+from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.validation import counted
-from pcnde_bridge.cli.console import (
-    note,
-    say,
-    show,
-    show_errors,
-)
+from pcnde_bridge.cli.console import note, say, show, show_errors
 from pcnde_bridge.cli.options import (
     DataArgument,
-    EngineChoice,
     EngineOption,
+    JsonOption,
     ModelArgument,
     SplitOption,
     WorkersOption,
     check_outputs,
+    option,
     split_of,
 )
 from pcnde_bridge.errors import InputError
@@ -38,29 +34,26 @@ from pcnde_bridge.model.metrics import pooled
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
 
-if TYPE_CHECKING:
-    from pcnde_bridge.plots.paper_figures import PaperFigure
-
 _IN_MEMORY = 256  # predictions of single cases, with their samples, while a table is written
 
 
 def info(
-    model: Annotated[
+    file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="A model, an ensemble, a checkpoint or a data set."),
+        typer.Argument(metavar="FILE", help="Model, ensemble, checkpoint or data set."),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with all settings.")] = False,
+    as_json: Annotated[bool, option("--json", help="Print JSON, with all settings.")] = False,
 ) -> None:
-    """Print what a file holds, and what it was made of."""
+    """Print the content of a file, and how a model was trained."""
     from pcnde_bridge.model.describe import describe, lines
 
-    found = describe(model)
+    found = describe(file)
     if as_json:
         say(json.dumps(found, indent=1))
         return
     table = Table(show_header=False)
-    for name, text in lines(found):
-        table.add_row(name, text)
+    for row in lines(found):
+        table.add_row(*row)
     show(table)
 
 
@@ -68,17 +61,15 @@ def evaluate(
     model: ModelArgument,
     data: DataArgument,
     split: SplitOption = "paper",
-    engine: EngineOption = EngineChoice.auto,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Also write the errors to this file.")
-    ] = None,
+    engine: EngineOption = "auto",
+    json_file: JsonOption = None,
     per_case: Annotated[
-        Path | None, typer.Option("--csv", help="Also write the errors of every case.")
+        Path | None, option("--csv", help="Also write the errors of every case.")
     ] = None,
 ) -> None:
     """Print relative errors of a model on a data set."""
     check_outputs(json_file, per_case, inputs=[model, Path(data)])
-    fitted = load_model(model, engine=engine.value)
+    fitted = load_model(model, engine)
     sets = split_of(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     errors = {name: pooled(table) for name, table in tables.items()}
@@ -93,36 +84,34 @@ def evaluate(
 def predict(
     model: ModelArgument,
     inflow: Annotated[
-        Path,
-        typer.Option("--inflow", help="CSV: time (s), then one column of Q (mL/s) for each case."),
+        Path, option("--inflow", help="CSV: time (s), then one column of Q (mL/s) per case.")
     ],
     area: Annotated[
-        Path,
-        typer.Option("--area", help="CSV: z (cm), then one column of S_u (cm²) for each case."),
+        Path, option("--area", help="CSV: z (cm), then one column of S_u (cm²) per case.")
     ],
     out: Annotated[
         Path,
-        typer.Option(
+        option(
             "--out",
-            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one for "
-            "each case) or .pvd (animation for ParaView).",
+            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per "
+            "case) or .pvd (animation for ParaView).",
         ),
     ],
-    engine: EngineOption = EngineChoice.auto,
+    engine: EngineOption = "auto",
     samples: Annotated[
         int,
-        typer.Option(
+        option(
             "--samples",
             min=0,
-            help="Draws for the standard deviations in a .csv (preset physics; 64 are enough). "
-            "An ensemble always gives them.",
+            help="Number of samples for the standard deviations in a .csv (preset physics; 64 "
+            "are enough). An ensemble always gives standard deviations.",
         ),
     ] = 0,
 ) -> None:
     """Predict flow, area and pressure of new cases.
 
-    A model of the preset physics takes inflows at any equally spaced instants of a cycle and
-    vessels at any points; another those of its training.
+    A model of the preset physics accepts any equally spaced time points of a cycle and any
+    points along the vessel; other models need those of their training.
     """
     from pcnde_bridge.io.input_tables import read_inputs
 
@@ -130,7 +119,7 @@ def predict(
     check_outputs(out, inputs=[model, inflow, area])
     if samples and suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
-    fitted = load_model(model, engine=engine.value)
+    fitted = load_model(model, engine)
     check_target(out, fitted.has_pressure)
     given = read_inputs(inflow, area, fitted.grid, any_grid=fitted.any_grid)
     q, s_u = given.inflow, given.area_undeformed
@@ -141,16 +130,14 @@ def predict(
     files = [out]
     if suffix == ".csv":
         if isinstance(fitted, PCNDE):
-            draws, of_each = {"samples": samples}, samples
-        else:  # whose members are its samples
-            draws, of_each = {}, len(fitted.members)
-        batch = max(1, _IN_MEMORY // (1 + of_each))
-        parts = fitted.predict_batches(q, s_u, batch=batch, **given.where, **draws)
-        count = save_csv(map(named, parts), out)
+            batch, options = _IN_MEMORY // (1 + samples), {"samples": samples}
+        else:  # the members are the samples
+            batch, options = _IN_MEMORY // (1 + len(fitted.members)), {}
+        batches = fitted.predict_batches(q, s_u, batch=max(1, batch), **given.where, **options)
+        count = save_csv(map(named, batches), out)
     else:
         prediction = named(fitted.predict(q, s_u, **given.where))
-        files = prediction.save(out)
-        count = len(prediction)
+        files, count = prediction.save(out), len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"
     say(f"Saved {counted(count, 'case')} in {place}.")
 
@@ -158,49 +145,46 @@ def predict(
 def explore(
     model: ModelArgument,
     port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="Of this machine; 0 takes a free one.")
+        int, option("--port", min=0, max=65535, help="Port on this machine; 0: any free port.")
     ] = 8050,
 ) -> None:
-    """Serve a page, to this machine only, to explore a model."""
+    """Explore a model on a web page, on this machine only."""
     from pcnde_bridge.app.server import serve
 
-    # Julia computes in one thread only, and a server has several.
-    serve(PCNDE.load(model, engine="jax"), model.stem, port)
+    # Julia computes in one thread only, but a server has several.
+    serve(PCNDE.load(model, "jax"), model.stem, port)
 
 
 def figures(
     model: ModelArgument,
     data: DataArgument,
-    out: Annotated[Path, typer.Option("--out", help="Folder for PNG, PDF and CSV files.")],
+    out: Annotated[Path, option("--out", help="Folder for PNG, PDF and CSV files.")],
     only: Annotated[
         list[str] | None,
-        typer.Option(
-            "--only", help="Make this figure; may be given several times. A wrong name lists all."
-        ),
+        option("--only", help="Figure to draw; may be repeated. An unknown name prints all names."),
     ] = None,
     studies: Annotated[
-        bool,
-        typer.Option("--studies", help="Also those that train models anew, which takes minutes."),
+        bool, option("--studies", help="Include figures that train models, which takes minutes.")
     ] = False,
     split: SplitOption = "paper",
-    engine: EngineOption = EngineChoice.auto,
+    engine: EngineOption = "auto",
     workers: WorkersOption = 1,
 ) -> None:
-    """Make the paper's figures of a model and a data set.
+    """Draw the paper's figures for a model and a data set.
 
-    The numbers behind most of them are written beside them.
+    The numbers of most figures are written beside them.
     """
     from pcnde_bridge.plots.paper_figures import (
         FIGURES,
         FigureData,
+        PaperFigure,
         choose,
         make_figures,
     )
 
     names = only or []
     choose(names)
-    fitted = PCNDE.load(model, engine=engine.value)
-    cases = load_cases(data)
+    fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, split)
     figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"))
     if data == "synthetic":
@@ -208,19 +192,18 @@ def figures(
     elif data != "published":
         figure_data.truth_label = "truth"
     if workers > 1:
-        figure_data.executor = tasks.processes(workers)
+        figure_data.executor = processes(workers)
 
     def announce(number: int, count: int, figure: PaperFigure) -> None:
         cost = f"; {figure.cost}" if figure.cost else ""
         note(f"[{number}/{count}] {figure.name}: {figure.description}{cost}")
 
-    made = make_figures(figure_data, out, only=names, with_studies=studies, on_figure=announce)
-    for result in made:
-        if result.reason:
-            say(f"{result.figure.name}: left out. {result.reason}")
-        else:
-            say(f"{result.figure.name}: {', '.join(path.name for path in result.files)}")
+    drawn = make_figures(figure_data, out, only=names, with_studies=studies, on_figure=announce)
+    for result in drawn:
+        files = ", ".join(path.name for path in result.files)
+        reason = f"left out. {result.reason}"
+        say(f"{result.figure.name}: {reason if result.reason else files}")
     if not names and not studies:
-        left = [f"{figure.name} ({figure.cost})" for figure in FIGURES if figure.cost]
-        say(f"Not made without --studies: {', '.join(left)}.")
+        left_out = [f"{figure.name} ({figure.cost})" for figure in FIGURES if figure.cost]
+        say(f"Left out without --studies: {', '.join(left_out)}.")
     say(f"The files are in {out}.")

@@ -1,39 +1,35 @@
-"""The commands that train: fit, cross-validate, bench and demo."""
+"""Commands that train: fit, cross-validate, bench, demo."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from rich.table import Table
 
 from pcnde_bridge._utils.files import atomic_write
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
-from pcnde_bridge.cli.console import (
-    interrupted,
-    note,
-    say,
-    show,
-    show_errors,
-)
+from pcnde_bridge.cli.console import note, resumable, say, show, show_errors
 from pcnde_bridge.cli.options import (
     ConfigOption,
     DataArgument,
-    EngineChoice,
     EngineOption,
+    JsonOption,
     PresetOption,
     SeedOption,
     SplitOption,
     WorkersOption,
     check_outputs,
+    option,
     settings_of,
     split_of,
 )
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
 from pcnde_bridge.evaluation import cross_validation
 from pcnde_bridge.io.datasets import load_cases
@@ -47,37 +43,37 @@ if TYPE_CHECKING:
 
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
+CheckpointOption = Annotated[
+    Path | None,
+    option(
+        "--checkpoint",
+        help="File that stores the state of training. By default OUT.checkpoint (fit) or "
+        "bench-….checkpoint in this folder (bench), removed after the training.",
+    ),
+]
+
 
 def fit(
     data: DataArgument,
-    out: Annotated[Path, typer.Option("--out", help="File for the fitted model.")],
+    out: Annotated[Path, option("--out", help="File for the fitted model.")],
     split: SplitOption = "paper",
     preset: PresetOption = "paper",
     config: ConfigOption = None,
-    engine: EngineOption = EngineChoice.auto,
+    engine: EngineOption = "auto",
     seed: SeedOption = 0,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(
-            "--checkpoint",
-            help="File that keeps the state of training; default OUT.checkpoint, "
-            "removed when the model is saved.",
-        ),
-    ] = None,
+    checkpoint: CheckpointOption = None,
     members: Annotated[
         int,
-        typer.Option(
-            "--members", min=1, help="More than one: an ensemble, with uncertainty (many fits)."
-        ),
+        option("--members", min=1, help="More than 1: an ensemble with uncertainty (many fits)."),
     ] = 1,
     workers: WorkersOption = 1,
 ) -> None:
-    """Train a model, or go on with a run that was interrupted."""
+    """Train a model, or resume an interrupted run."""
     settings = settings_of(preset, config)
     check_outputs(out, size=members * _MODEL_SIZE, inputs=[Path(data)])
     check_outputs(checkpoint, inputs=[Path(data), out])
     if members > 1 and checkpoint is not None:
-        raise InputError("An ensemble keeps its fits in OUT.fits: leave --checkpoint out.")
+        raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
         raise InputError("A single fit has one process: give --members, or no --workers.")
     sets = split_of(load_cases(data), split)
@@ -99,30 +95,26 @@ def cross_validate(
     split: SplitOption = "paper",
     preset: PresetOption = "paper",
     config: ConfigOption = None,
-    engine: EngineOption = EngineChoice.auto,
+    engine: EngineOption = "auto",
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
     folder: Annotated[
         Path | None,
-        typer.Option("--folder", help="Keeps every finished fit, so that the run can continue."),
+        option("--folder", help="Folder that stores finished fits, to resume an interrupted run."),
     ] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", help="Also write the table.")] = None,
+    csv: Annotated[Path | None, option("--csv", help="Also write the table.")] = None,
 ) -> None:
     """Leave out each waveform and geometry, and print errors.
 
-    These are those of the training cases: whole waveforms and whole geometries, in turns.
+    Each fold holds out one waveform or one geometry of the training cases.
     """
     settings = settings_of(preset, config)
     check_outputs(csv, inputs=[Path(data)])
     train = split_of(load_cases(data), split)["train"]
-    try:
+    with resumable(f"The finished fits are in {folder}") if folder else nullcontext():
         table = cross_validation.cross_validate(
-            train, settings, engine.value, seed, executor=processes(workers), folder=folder
+            train, settings, engine, seed, executor=processes(workers), folder=folder
         )
-    except KeyboardInterrupt:
-        if folder is None:
-            raise
-        raise interrupted(f"The finished fits are in {folder}") from None
     if csv is not None:
         with atomic_write(csv) as temporary:
             table.to_csv(temporary)
@@ -132,9 +124,9 @@ def cross_validate(
         for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
             errors[f"mean, {label}"] = mean
         show_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
-    for name, why in zip(names, table["failure"], strict=True):
-        if isinstance(why, str):
-            say(f"{name}: {why}")
+    for name, reason in zip(names, table["failure"], strict=True):
+        if isinstance(reason, str):
+            say(f"{name}: {reason}")
     if table["failure"].notna().all():
         raise TaskError("All fits failed.")
 
@@ -143,32 +135,17 @@ def bench(
     data: DataArgument,
     split: SplitOption = "paper",
     model: Annotated[
-        Path | None, typer.Option("--model", help="Fitted model; without it one is trained.")
+        Path | None, option("--model", help="Fitted model; without it, one is trained.")
     ] = None,
     preset: PresetOption = "paper",
     config: ConfigOption = None,
-    engine: EngineOption = EngineChoice.auto,
+    engine: EngineOption = "auto",
     seed: SeedOption = 0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Also write the results to this file.")
-    ] = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(
-            "--checkpoint",
-            help="File that keeps the state of training; default bench-….checkpoint in this "
-            "folder, removed after the training.",
-        ),
-    ] = None,
+    json_file: JsonOption = None,
+    checkpoint: CheckpointOption = None,
 ) -> None:
-    """Print errors and times of a model beside the baselines'."""
-    from pcnde_bridge.evaluation.baselines import standard_baselines
-    from pcnde_bridge.evaluation.benchmark import (
-        bench_baseline,
-        bench_model,
-        checkpoint_name,
-        write_rows,
-    )
+    """Compare errors and times of a model with the baselines."""
+    from pcnde_bridge.evaluation import baselines, benchmark
 
     training = {
         "--preset": preset != "paper",
@@ -177,21 +154,21 @@ def bench(
         "--checkpoint": checkpoint,
     }
     if model is not None and any(training.values()):
-        given = ", ".join(option for option, value in training.items() if value)
+        given = ", ".join(name for name, value in training.items() if value)
         raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
     settings = settings_of(preset, config)
     check_outputs(json_file, checkpoint, inputs=[Path(data)])
-    fitted = None if model is None else PCNDE.load(model, engine=engine.value)
+    fitted = None if model is None else PCNDE.load(model, engine)
     sets = split_of(load_cases(data), split)
     if fitted is None:
-        name = checkpoint_name(sets["train"], settings, engine.value, seed)
+        name = benchmark.checkpoint_name(sets["train"], settings, engine, seed)
         state = checkpoint or Path(name)
         fitted = _fit_model(sets["train"], settings, engine, seed, state)
         if checkpoint is None:
             checkpoints.remove(state)
-    rows = [bench_model(fitted, sets)]
-    for name, baseline in standard_baselines().items():
-        rows.append(bench_baseline(name, baseline, sets))
+    rows = [benchmark.bench_model(fitted, sets)]
+    for name, baseline in baselines.standard_baselines().items():
+        rows.append(benchmark.bench_baseline(name, baseline, sets))
     if json_file is not None:
         facts = {
             "data": data,
@@ -200,90 +177,67 @@ def bench(
             "config": fitted.config.to_dict(),
             "cases": {name: len(cases) for name, cases in sets.items()},
         }
-        write_rows(json_file, rows, **facts)
+        benchmark.write_rows(json_file, rows, **facts)
     _show_rows(rows, list(sets))
     if data == "synthetic":
-        say("The 1D solver made these data: its own errors on them say nothing.")
+        say("The 1D solver is the reference here.")
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for everything that is written.")] = (
-        Path("demo")
-    ),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of waveforms and training.")] = 0,
-    engine: EngineOption = EngineChoice.auto,
+    out: Annotated[Path, option("--out", help="Folder for all files.")] = Path("demo"),
+    seed: Annotated[
+        int, option("--seed", min=0, help="Random seed of the waveforms and of the training.")
+    ] = 0,
+    engine: EngineOption = "auto",
 ) -> None:
     """Simulate, train, evaluate and predict, in three minutes."""
-    from pcnde_bridge.cli.demo import run_demo
+    from pcnde_bridge.cli.demo import NEXT_STEPS, run_demo
 
-    try:
-        result = run_demo(out, seed, engine.value)
-    except KeyboardInterrupt:
-        raise interrupted(f"The state of training is in {out}") from None
+    with resumable(f"The state of training is in {out}"):
+        result = run_demo(out, seed, engine)
     show_errors(
         {
-            f"{name}, {method}": row
+            f"{name}, {method}": sets[name]
             for name in ("train", "test")
-            for method, row in ((m, sets[name]) for m, sets in result.errors.items())
+            for method, sets in result.errors.items()
         }
     )
-    say(
-        f"""Took {result.seconds:.0f} s. In {out}:
-  model.npz           the model
-  cases.npz           the 100 simulated cases, and split.json, which were for training
-  errors.csv          errors of every case; history.csv, the loss of every iteration
-  prediction.csv.gz   flow, area and pressure of the test cases
-  prediction.png      the hardest test case; history.png, the loss
-Next, with your own waveform and vessel in these two files:
-  pcnde predict {out / "model.npz"} --inflow {out / "inflow.csv"} --area {out / "area.csv"} --out mine.csv
-the model beside simpler methods:
-  pcnde bench {out / "cases.npz"} --model {out / "model.npz"}
-and the paper's 3D simulations, trained as in the paper:
-  pcnde fit published --out model.npz""",  # noqa: E501
-    )
+    say(NEXT_STEPS.format(folder=out, seconds=result.seconds))
 
 
 def _fit_model(
     train: Cases,
     settings: PCNDEConfig | ClosureConfig,
-    engine: EngineChoice,
+    engine: EngineName,
     seed: int,
     state: Path,
 ) -> PCNDE:
-    """Train from the start or from the checkpoint; after Ctrl-C, say how to go on."""
+    """Train from the start or from the checkpoint."""
     if state.exists():
         note(f"Continuing from {state}.")
-    try:
-        return PCNDE.fit(train, settings, engine=engine.value, seed=seed, checkpoint=state)
-    except KeyboardInterrupt:
-        raise interrupted(f"The state of training is in {state}") from None
+    with resumable(f"The state of training is in {state}"):
+        return PCNDE.fit(train, settings, engine, seed, state)
 
 
 def _fit_ensemble(
     train: Cases,
     settings: PCNDEConfig | ClosureConfig,
-    engine: EngineChoice,
+    engine: EngineName,
     seed: int,
     members: int,
     workers: int,
     out: Path,
 ) -> Ensemble:
-    """Fit an ensemble, keeping finished fits beside its file until that is written."""
+    """Fit and save an ensemble; finished fits are stored beside its file until it is written."""
     folder = out.with_name(out.name + ".fits")
     if folder.exists():
         note(f"Continuing with the finished fits in {folder}.")
-    try:
+    # One worker is a process, too, so that the number of workers does not change a bit.
+    executor = processes(workers)
+    with resumable(f"The finished fits are in {folder}"):
         ensemble = Ensemble.fit(
-            train,
-            settings,
-            engine.value,
-            seed,
-            members=members,
-            executor=processes(workers),  # also one, so that their number changes no bit
-            folder=folder,
+            train, settings, engine, seed, members=members, executor=executor, folder=folder
         )
-    except KeyboardInterrupt:
-        raise interrupted(f"The finished fits are in {folder}") from None
     ensemble.save(out)
     if not ensemble.provenance["failures"]:
         remove_results(folder)
@@ -291,7 +245,7 @@ def _fit_ensemble(
 
 
 def _show_rows(rows: list[Row], sets: list[str]) -> None:
-    """Print the methods side by side, then why some could not be applied."""
+    """Print the methods side by side, then why some were not applicable."""
     variables = list(rows[0].errors[sets[0]])
     table = Table("relative error", "", *variables, show_lines=True)
     table.add_column("fit\ns", justify="right")
@@ -301,8 +255,9 @@ def _show_rows(rows: list[Row], sets: list[str]) -> None:
             table.add_row(row.name, "", *("–" for _ in variables), "–", "–")
             continue
         errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in sets) for v in variables)
-        fit = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
-        table.add_row(row.name, "\n".join(sets), *errors, fit, f"{row.predict_ms_per_case:.2f}")
+        fit_time = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
+        predict_time = f"{row.predict_ms_per_case:.2f}"
+        table.add_row(row.name, "\n".join(sets), *errors, fit_time, predict_time)
     show(table)
     for row in rows:
         if row.reason is not None:

@@ -36,7 +36,6 @@ from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
-from pcnde_bridge.model import predictor
 from pcnde_bridge.model.fit_task import (
     FitTask,
     common_facts,
@@ -47,6 +46,7 @@ from pcnde_bridge.model.fit_task import (
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
+from pcnde_bridge.model.predictor import Predictor, in_batches, predict, prepare
 from pcnde_bridge.model.serialization import ENSEMBLE_FORMAT, ENSEMBLE_VERSION, with_prefix
 from pcnde_bridge.training.provenance import provenance as current_provenance
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
@@ -54,7 +54,7 @@ from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 _FITS_PER_FOLD = 2  # the fewest that have a standard deviation
 
 
-class Ensemble(predictor.Predictor):
+class Ensemble(Predictor):
     """Several models of the same cases, with calibrated uncertainty.
 
     Create an ensemble by :meth:`fit` or :meth:`load`.
@@ -213,7 +213,7 @@ class Ensemble(predictor.Predictor):
         InputError, SolveError
             See :meth:`PCNDE.predict`.
         """
-        return predictor.predict(self, inflow, area_undeformed, z, period, warn=True)
+        return self._solve(prepare(self, inflow, area_undeformed, z, period, warn=True))
 
     def predict_batches(
         self,
@@ -248,7 +248,9 @@ class Ensemble(predictor.Predictor):
         InputError, SolveError
             See :meth:`PCNDE.predict_batches`.
         """
-        return predictor.predict_batches(self, inflow, area_undeformed, batch, z, period)
+        batch = whole("batch", batch, 1)
+        inputs = prepare(self, inflow, area_undeformed, z, period, warn=True)
+        return in_batches(self, inputs, batch)
 
     def _solve(self, inputs: Inputs) -> Prediction:
         """Average the members' predictions; spread them to the calibrated standard deviation."""
@@ -376,7 +378,7 @@ def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
     """Fit profile and scale on cases that the models beside them were not trained on."""
     errors, spreads = [], []
     for models, cases in folds:
-        found = [predictor.predict(model, cases).variables() for model in models]
+        found = [predict(model, cases).variables() for model in models]
         values = np.array([[variables[name] for variables in found] for name in VARIABLES])
         true = np.stack([getattr(cases, name) for name in VARIABLES])
         errors.append(np.abs(values.mean(axis=1) - true))

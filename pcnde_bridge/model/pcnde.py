@@ -21,10 +21,11 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.model import predictor, serialization
+from pcnde_bridge.model import serialization
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.prediction import Prediction
+from pcnde_bridge.model.predictor import Predictor, in_batches, prepare
 from pcnde_bridge.model.published_weights import read_published_weights
 from pcnde_bridge.model.serialization import MODEL_FORMAT, MODEL_VERSION, Content
 from pcnde_bridge.training import history as histories
@@ -34,7 +35,7 @@ from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import Uncertainty
 
 
-class PCNDE(predictor.Predictor):
+class PCNDE(Predictor):
     """Physics-constrained coupled neural differential equations of one vessel type.
 
     Create a model by :meth:`fit`, :meth:`load` or :meth:`from_published_weights`.
@@ -254,7 +255,7 @@ class PCNDE(predictor.Predictor):
             If the equations diverge for an input.
         """
         given = inflow, area_undeformed, z, period
-        return predictor.predict(self, *given, samples, seed, warn=True)
+        return self._solve(prepare(self, *given, samples, seed, warn=True))
 
     def predict_batches(
         self,
@@ -304,8 +305,8 @@ class PCNDE(predictor.Predictor):
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        given = inflow, area_undeformed, batch, z, period
-        return predictor.predict_batches(self, *given, samples, seed)
+        batch, given = whole("batch", batch, 1), (inflow, area_undeformed, z, period)
+        return in_batches(self, prepare(self, *given, samples, seed, warn=True), batch)
 
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters

@@ -130,7 +130,12 @@ class Predictor(ABC):
         return error_table(predict(self, cases).variables(), cases)
 
 
-def predict(
+def predict(model: Predictor, cases: Cases) -> Prediction:
+    """Predict cases without a warning of extrapolation, which their errors will show."""
+    return model._solve(prepare(model, cases))
+
+
+def prepare(
     model: Predictor,
     inflow: npt.ArrayLike | Cases,
     area_undeformed: npt.ArrayLike | None = None,
@@ -140,49 +145,12 @@ def predict(
     seed: int = 0,
     *,
     warn: bool = False,
-) -> Prediction:
-    """Predict as :meth:`pcnde_bridge.PCNDE.predict` does; warn of extrapolation if asked to.
-
-    Cases with reference values need no warning: their errors show the extrapolation.
-    """
-    return model._solve(_prepare(model, inflow, area_undeformed, z, period, samples, seed, warn))
-
-
-def predict_batches(
-    model: Predictor,
-    inflow: npt.ArrayLike,
-    area_undeformed: npt.ArrayLike,
-    batch: int,
-    z: npt.ArrayLike | None = None,
-    period: float | None = None,
-    samples: int = 0,
-    seed: int = 0,
-) -> Iterator[Prediction]:
-    """Predict as :meth:`pcnde_bridge.PCNDE.predict_batches` does."""
-    batch = whole("batch", batch, 1)
-    inputs = _prepare(model, inflow, area_undeformed, z, period, samples, seed, warn=True)
-
-    def predictions() -> Iterator[Prediction]:
-        for start in range(0, len(inputs), batch):
-            try:
-                yield model._solve(inputs.rows(start, start + batch))
-            except SolveError as error:
-                raise SolveError(f"In the batch that starts at case {start}: {error}") from error
-
-    return predictions()
-
-
-def _prepare(
-    model: Predictor,
-    inflow: npt.ArrayLike | Cases,
-    area_undeformed: npt.ArrayLike | None,
-    z: npt.ArrayLike | None,
-    period: float | None,
-    samples: int,
-    seed: int,
-    warn: bool,
 ) -> Inputs:
-    """Check the inputs, score their distance from the training data, draw random numbers."""
+    """Check the inputs, score their distance from the training data, draw random numbers.
+
+    The arguments are those of :meth:`pcnde_bridge.PCNDE.predict`; ``warn`` is whether to warn
+    of extrapolation, which blames the caller of the method that calls this function.
+    """
     if isinstance(inflow, Cases):
         if area_undeformed is not None or z is not None or period is not None:
             raise InputError("Give cases, or inflow and area_undeformed, not both.")
@@ -205,9 +173,18 @@ def _prepare(
             f"case {worst} with its {farthest} (score {novelty[worst]:.2f}; 1 is the edge of the "
             "training data). The prediction extrapolates.",
             OutsideTrainingWarning,
-            stacklevel=4,  # the caller of the public method, two calls above this module
+            stacklevel=3,
         )
     return replace(inputs, random=random, novelty=novelty)
+
+
+def in_batches(model: Predictor, inputs: Inputs, batch: int) -> Iterator[Prediction]:
+    """Predict some cases at a time, from inputs that were arrays."""
+    for start in range(0, len(inputs), batch):
+        try:
+            yield model._solve(inputs.rows(start, start + batch))
+        except SolveError as error:
+            raise SolveError(f"In the batch that starts at case {start}: {error}") from error
 
 
 def _random_numbers(

@@ -262,7 +262,7 @@ def test_pcnde_figures(run_pcnde, files, unpainted):
     assert sorted(path.stem for path in out.iterdir()) == sorted(ALWAYS)
     assert f"[1/{len(ALWAYS)}] data-set: waveforms" in notes
     assert f"[{len(ALWAYS)}/{len(ALWAYS)}] noise-area" in notes
-    assert "Not made without --studies: activations (fits the pressure stages five times)" in text
+    assert "Left out without --studies: activations (fits the pressure stages five times)" in text
     assert all(name in text for name in FLOW_ANEW)
     assert str(out) in text
 
