@@ -146,7 +146,7 @@ def _check_arrays(vessel: VesselResults) -> None:
     """Raise unless shapes agree and all values are possible."""
     n_times, n_points = grid = vessel.time.size, vessel.z.size
     if n_times < 4 or n_points < 3:
-        raise InputError(f"{n_times} time points and {n_points} points are fewer than 4 and 3.")
+        raise InputError(f"it has {n_times} time points and {n_points} points, fewer than 4 and 3.")
     shapes = {**dict.fromkeys(VARIABLES, grid), "area_undeformed": (n_points,)}
     for name, shape in shapes.items():
         check_shape(name, getattr(vessel, name), shape)

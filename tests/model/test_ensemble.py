@@ -1,4 +1,4 @@
-"""Ensembles, and what a file tells, with fits that need no compiling."""
+"""Ensembles with fits that need no compiling, in Python and on the command line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import FailingEngine, ToyEngine, interrupt_at
+from helpers import FailingEngine, interrupt_at
 
 from pcnde_bridge import (
     PCNDE,
@@ -23,7 +23,7 @@ from pcnde_bridge import (
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import processes, run
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.model.describe import describe, lines
+from pcnde_bridge.model.describe import describe
 from pcnde_bridge.model.fit_task import (
     FitTask,
     fit_model,
@@ -31,23 +31,6 @@ from pcnde_bridge.model.fit_task import (
 )
 from pcnde_bridge.model.metrics import coverage, pooled_errors
 from pcnde_bridge.uncertainty.calibration import Calibration
-
-NUMBERS = ["flow", "area", "pressure", "train_flow", "train_area", "train_pressure"]
-
-
-@pytest.fixture(scope="module")
-def engine():
-    return ToyEngine()
-
-
-@pytest.fixture(scope="module")
-def config(toy_config):
-    return toy_config.replace(flow={"epochs": 2, "couple_every": 1})
-
-
-@pytest.fixture(scope="module")
-def ensemble(small_cases, config, engine):
-    return Ensemble.fit(small_cases, config, engine, members=3, folds=2, progress=False)
 
 
 def same(one, other):
@@ -238,72 +221,6 @@ def test_arguments_of_an_ensemble(small_cases, config, engine):
             Ensemble.fit(small_cases, config, engine, **change)
     with pytest.raises(InputError, match="needs a Cases"):
         Ensemble.fit([1], config, engine)
-
-
-# ---- what a file tells -----------------------------------------------------------------
-
-
-def test_what_is_needed_to_run_a_fit_again(small_cases, config, engine, ensemble, tmp_path):
-    ensemble.save(tmp_path / "ensemble")
-    ensemble.members[1].save(tmp_path / "model")
-    PCNDE.fit(small_cases, config, engine, checkpoint=tmp_path / "run", progress=False)
-    found = {name: describe(tmp_path / name) for name in ("model", "ensemble", "run")}
-    assert {name: value["kind"] for name, value in found.items()} == {
-        "model": "model",
-        "ensemble": "ensemble",
-        "run": "checkpoint",
-    }
-    assert [found[name]["provenance"]["seed"] for name in found] == [1, 0, 0]
-    assert found["ensemble"]["members"] == 3
-    assert found["run"]["finished"] == found["run"]["units"] == 2 * 3 + 2 + 2
-    for value in found.values():
-        facts = value["provenance"]
-        assert value["preset"] == "paper"
-        assert value["changes"]["batch_size"] == 5
-        assert type(config).from_dict(json.loads(json.dumps(value["config"]))) == config
-        assert facts["cases_fingerprint"] == small_cases.fingerprint()
-        labels = small_cases.labels[["geometry", "waveform"]].to_numpy().tolist()
-        assert facts["cases_labels"] == labels
-        assert facts["engine"] == "toy"
-        assert facts["versions"]["toy"] == "1"
-        assert facts["command"]
-        text = dict(lines(value))
-        assert text["seed"] == str(facts["seed"])
-        assert text["preset"].startswith("paper, but flow.epochs = 2")
-
-
-def test_info_on_the_command_line(ensemble, tmp_path, run_pcnde):
-    path = tmp_path / "ensemble"
-    ensemble.save(path)
-    code, printed, _ = run_pcnde("info", path)
-    assert code == 0
-    assert "calibrated spread" in printed
-    assert "geometry 3: waveforms 0, 1, 2, 3" in printed
-    code, printed, _ = run_pcnde("info", path, "--json")
-    assert code == 0
-    assert json.loads(printed) == json.loads(json.dumps(describe(path)))
-    path.write_bytes(path.read_bytes()[:2000])
-    code, _, err = run_pcnde("info", path)
-    assert code == 2
-    assert "damaged" in err
-    write_archive(path, "something", 1, {}, {})
-    code, _, err = run_pcnde("info", path)
-    assert code == 2
-    assert "not a pcnde_bridge model but a 'something' file" in err
-
-
-@pytest.mark.parametrize("name", ["cases.npz", "cases.h5"])
-def test_info_of_a_data_set(small_cases, tmp_path, run_pcnde, name):
-    small_cases.save(tmp_path / name)
-    code, printed, _ = run_pcnde("info", tmp_path / name)
-    assert code == 0
-    assert "data set" in printed
-    assert small_cases.fingerprint()[:16] in printed
-    assert dict(lines(describe(tmp_path / name)))["waveform"] == "0, 1, 2, 3"
-    (tmp_path / name).write_bytes(b"PK")
-    code, _, err = run_pcnde("info", tmp_path / name)
-    assert code == 2
-    assert "truncated" in err
 
 
 def test_an_ensemble_on_the_command_line(
