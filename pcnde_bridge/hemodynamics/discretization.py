@@ -262,7 +262,7 @@ def _check_waveform(tube: TubeSettings, i: int, waveform: Waveform, period: floa
 def _check_speed(
     tube: TubeSettings, z: Array, area_undeformed: Array, waveform: Waveform, name: str
 ) -> None:
-    """Refuse a flow that is faster than the pulse wave, for which the scheme is not made."""
+    """Raise if a flow is faster than the pulse wave, which the scheme does not support."""
     narrowest = int(np.argmin(area_undeformed))
     smallest = area_undeformed[narrowest]
     speed = np.abs(waveform.samples(tube.steps)).max() / smallest
@@ -352,7 +352,7 @@ def _losses(
 
 def _check_stenosis(tube: TubeSettings, stenosis: Stenosis, z: Array, name: str) -> None:
     dz = (z[-1] - z[0]) / (len(z) - 1)
-    if tube.stenosis_loss != "none" and not fits(stenosis, z):
+    if tube.stenosis_loss != "none" and not stenosis_fits(stenosis, z):
         raise InputError(
             f"A stenosis of {name} reaches from {stenosis.start:g} to {stenosis.end:g} cm, too "
             f"close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
@@ -364,7 +364,7 @@ def _check_stenosis(tube: TubeSettings, stenosis: Stenosis, z: Array, name: str)
         )
 
 
-def fits(stenosis: Stenosis, z: Array) -> bool:
+def stenosis_fits(stenosis: Stenosis, z: Array) -> bool:
     """Return whether the loss of a stenosis falls on faces that balance momentum."""
     dz = (z[-1] - z[0]) / (len(z) - 1)
     return bool(stenosis.start >= z[0] + dz / 2 and stenosis.end <= z[-1])

@@ -50,7 +50,7 @@ from pcnde_bridge.hemodynamics.discretization import (
     Problem,
     discretize,
     discretize_vessels,
-    fits,
+    stenosis_fits,
     upstream_area,
 )
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
@@ -296,7 +296,7 @@ def _find_stenosis(z: Array, area_undeformed: Array, length: float) -> tuple[Ste
     # An even taper is no stenosis, nor is a cone, which lies above it.
     taper = np.geomspace(area_undeformed[0], area_undeformed[-1], len(z))
     narrowing = area_undeformed / taper
-    inside = [fits(Stenosis(0.0, position, length), z) for position in z]
+    inside = [stenosis_fits(Stenosis(0.0, position, length), z) for position in z]
     throat = int(np.argmin(np.where(inside, narrowing, np.inf)))
     if not inside[throat] or narrowing[throat] > 0.99:
         return ()

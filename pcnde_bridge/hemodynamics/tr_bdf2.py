@@ -43,7 +43,7 @@ class _State(NamedTuple):
     now: _Fields
     slope: _Fields
     inflow: Any  # volume that flowed in minus volume that flowed out in this cycle (case,)
-    broken: Any  # step and point at which a case failed, or −1 (case, 2)
+    failed_at: Any  # step and point at which a case failed, or −1 (case, 2)
 
 
 class _Stage(NamedTuple):
@@ -83,7 +83,7 @@ def run(wall: Wall, problem: Problem, cycles: int) -> tuple[list[Array], list[Ar
         before = np.asarray(state.now.area).sum(axis=1) * dz
         state = state._replace(inflow=np.zeros(n_cases))
         state, records = _cycle(wall, problem.tube, state, problem.inflow)
-        _refuse_broken(np.asarray(state.broken), number, problem)
+        _raise_if_diverged(np.asarray(state.failed_at), number, problem)
         flow, pressure = (np.moveaxis(np.array(record), 0, 1) for record in records)
         area = np.asarray(wall.area(pressure, problem.area_undeformed[:, None, :]))
         last = [flow, area, pressure]
@@ -92,14 +92,14 @@ def run(wall: Wall, problem: Problem, cycles: int) -> tuple[list[Array], list[Ar
     return last, previous or None, volume_balance
 
 
-def _refuse_broken(broken: Array, cycle: int, problem: Problem) -> None:
-    failed = np.flatnonzero(broken[:, 0] >= 0)
+def _raise_if_diverged(failed_at: Array, cycle: int, problem: Problem) -> None:
+    failed = np.flatnonzero(failed_at[:, 0] >= 0)
     if not len(failed):
         return
-    case = int(failed[np.argmin(broken[failed, 0])])
-    step, point = (int(v) for v in broken[case])
+    case = int(failed[np.argmin(failed_at[failed, 0])])
+    step, point = (int(v) for v in failed_at[case])
     time = cycle * problem.period + (step + 1) * problem.tube.dt
-    others = f" ({len(failed)} of {len(broken)} cases diverged)" if len(failed) > 1 else ""
+    others = f" ({len(failed)} of {len(failed_at)} cases diverged)" if len(failed) > 1 else ""
     raise SolveError(
         f"{case_name(case, problem.labels).capitalize()} diverged at t = {time:.4g} s, "
         f"near z = {problem.z[point]:.4g} cm{others}: the wall collapsed or Newton's method found "
@@ -310,9 +310,9 @@ class _Scheme:
         inflow = state.inflow + self.weight * (_net_inflow(state.now) + net[0]) + self.own * net[1]
         place = jnp.where(good[0], places[1], places[0])
         place = jnp.stack([jnp.full(len(place), number), place], axis=1)
-        first = ~good.all(axis=0) & (state.broken[:, 0] < 0)
-        broken = jnp.where(first[:, None], place, state.broken)
-        return _State(now, slope, inflow, broken), None
+        first = ~good.all(axis=0) & (state.failed_at[:, 0] < 0)
+        failed_at = jnp.where(first[:, None], place, state.failed_at)
+        return _State(now, slope, inflow, failed_at), None
 
     def record(self, now: _Fields) -> tuple[Any, Any]:
         """Return flow and pressure at the points (case, z)."""
