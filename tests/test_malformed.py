@@ -487,7 +487,7 @@ TABLE = [
     ("checkpoint", "of other cases", archive(lambda f, a: f.update(cases="0" * 64)), InputError,
      "belongs to a run on other cases"),
     ("checkpoint", "no batches", archive(lambda f, a: a.pop("batches") is None), FileError,
-     "is not a whole checkpoint"),
+     "is not a complete checkpoint"),
     ("checkpoint", "zip bomb", member("bomb.npy", claimed=BOMB, compressed=True), FileError,
      "it claims 3.* bytes in a file of"),
     # ---- inputs of a prediction

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pcnde_bridge._typing import AnyArray
-from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
 from pcnde_bridge._utils.files import atomic_write, check_writable, remove_leftovers
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig, config_from
 from pcnde_bridge.data.cases import Cases
@@ -114,12 +114,10 @@ class Checkpoint:
 
     def _read(self, path: Path, seed: int, restore: Restore[_Restored]) -> _Restored:
         facts, arrays = read_archive(path, self._kind, self._version, "checkpoint")
-        try:
+        with interpreting(path, "checkpoint"):
             difference = self._difference(facts, seed)
             state = None if difference else restore(facts, arrays)
             engine = facts["provenance"]["engine"]
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-            raise FileError(f"{path} is not a whole checkpoint: {error!r}.") from error
         if state is None:
             raise InputError(f"{path} belongs to a run {difference}, or another checkpoint file.")
         if engine != self._engine.name:

@@ -293,7 +293,7 @@ def test_checkpoint_that_is_not_whole_is_a_file_error(cases, started, tmp_path, 
     else:
         arrays["history"] = np.ones((2, 5))
     write_archive(path, kind, 1, facts, arrays)
-    with pytest.raises(FileError, match="not a whole checkpoint"):
+    with pytest.raises(FileError, match="not a complete checkpoint"):
         fitted(cases, checkpoint=path)
 
 
@@ -332,7 +332,7 @@ NEEDED = (
 @pytest.mark.parametrize("name", NEEDED)
 def test_model_without_one_of_its_arrays_is_a_file_error(model_file, tmp_path, name):
     path = damaged(model_file, tmp_path / "model", lambda _, arrays: arrays.pop(name))
-    with pytest.raises(FileError, match="not a whole model"):
+    with pytest.raises(FileError, match="not a complete model"):
         PCNDE.load(path)
 
 
@@ -343,7 +343,7 @@ def test_model_with_an_array_of_another_shape_is_a_file_error(model_file, tmp_pa
         last = name != "uncertainty_profile"
         arrays[name] = arrays[name][..., :-1] if last else arrays[name][:-1]
 
-    with pytest.raises(FileError, match="not a whole model"):
+    with pytest.raises(FileError, match="not a complete model"):
         PCNDE.load(damaged(model_file, tmp_path / "model", cut))
 
 
@@ -352,7 +352,7 @@ def test_model_with_numbers_that_are_not_finite_is_a_file_error(model_file, tmp_
     def spoil(_, arrays):
         arrays[name] = np.full_like(arrays[name], np.nan)
 
-    with pytest.raises(FileError, match="not a whole model"):
+    with pytest.raises(FileError, match="not a complete model"):
         PCNDE.load(damaged(model_file, tmp_path / "model", spoil))
 
 
@@ -363,7 +363,7 @@ def test_model_with_a_configuration_that_does_not_fit_is_a_file_error(
     model_file, tmp_path, settings
 ):
     path = damaged(model_file, tmp_path / "model", lambda f, _: f.update(config=settings))
-    with pytest.raises(FileError, match="not a whole model"):
+    with pytest.raises(FileError, match="not a complete model"):
         PCNDE.load(path)
 
 

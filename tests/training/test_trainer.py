@@ -523,7 +523,7 @@ def test_a_checkpoint_with_something_missing(
                 tuple(b.values()) if path == checkpoint else read_archive(path, *rest)
             ),
         )
-        with pytest.raises(FileError, match="not a whole checkpoint"):
+        with pytest.raises(FileError, match="not a complete checkpoint"):
             start(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
 
 
