@@ -17,11 +17,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import (
-    PAPER,
-    PCNDEConfig,
-    resolve_pcnde_config,
-)
+from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_grid
 from pcnde_bridge.data.splits import Positions
@@ -184,27 +180,31 @@ def compare_formulations(
     if test is not None:
         check_grid(train.grid, test.grid, "train")
     chosen = select_engine(engine)
-    sets = {"train": train} if test is None else {"train": train, "test": test}
+    subsets = {"train": train} if test is None else {"train": train, "test": test}
     procedures = {name: _FormulationTraining(name, train, config, chosen) for name in formulations}
     starts = {name: procedure.start(seed) for name, procedure in procedures.items()}
     total = sum(p.count_iterations(starts[name]) for name, p in procedures.items())
 
+    def evaluate(name: str, flows: Mapping[str, Array]) -> dict[tuple[str, str], FormulationResult]:
+        found = _evaluate(flows, subsets, chosen, config)
+        return {(name, subset): result for subset, result in found.items()}
+
     outcomes: dict[str, str] = {}
     frames = []
-    # What the true flow gives: the equations' own errors.
-    results = _results("truth", {part: c.flow for part, c in sets.items()}, sets, chosen, config)
+    # The true flow shows the errors of the equations alone.
+    results = evaluate("truth", {subset: cases.flow for subset, cases in subsets.items()})
     with training_session(progress, total) as session:
         for name, procedure in procedures.items():
             state, outcomes[name] = procedure.train(starts[name], session)
             frames.append(histories.to_frame(state.history).assign(formulation=name))
             try:
-                flows = {part: procedure.solve(state, cases) for part, cases in sets.items()}
+                flows = {k: procedure.solve(state, cases) for k, cases in subsets.items()}
             except SolveError as error:
                 outcomes[name] = f"diverged: {error}"
-                flows = {part: np.full_like(cases.flow, np.nan) for part, cases in sets.items()}
-            results |= _results(name, flows, sets, chosen, config)
+                flows = {k: np.full_like(cases.flow, np.nan) for k, cases in subsets.items()}
+            results |= evaluate(name, flows)
     history = pd.concat(frames, ignore_index=True)
-    return FormulationStudy(sets, results, outcomes, history)
+    return FormulationStudy(subsets, results, outcomes, history)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,30 +281,25 @@ class _FormulationTraining(Procedure[_FormulationState]):
         return TemporalFlowInputs(cases.inflow, cases.flow[:, 0])
 
 
-def _results(
-    name: str,
-    flows: Mapping[str, Array],
-    sets: Mapping[str, Cases],
-    engine: Engine,
-    config: PCNDEConfig,
-) -> dict[tuple[str, str], FormulationResult]:
-    """Slopes and areas of a formulation's flows."""
-    train = sets["train"]
-    grid = train.grid
+def _evaluate(
+    flows: Mapping[str, Array], subsets: Mapping[str, Cases], engine: Engine, config: PCNDEConfig
+) -> dict[str, FormulationResult]:
+    """Return slopes and areas for the flow of each subset."""
+    train = subsets["train"]
     uncorrected = np.repeat([1.0, 0.0], train.n_points)
     parameters = initial_parameters(config, train.n_times, train.n_points, 0)
     if np.isfinite(flows["train"]).all():
         intermediate, fourier = fit_area(flows["train"], train, engine, config)
         parameters = parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
     results = {}
-    for part, cases in sets.items():
-        flow, start = flows[part], cases.area_undeformed
+    for subset, cases in subsets.items():
+        flow, start = flows[subset], cases.area_undeformed
         inputs = IntermediateAreaInputs(flow, start)
-        by_continuity = engine.intermediate_area.solve(uncorrected, inputs, grid, config)
-        results[name, part] = FormulationResult(
+        by_continuity = engine.intermediate_area.solve(uncorrected, inputs, train.grid, config)
+        results[subset] = FormulationResult(
             flow,
             flow_slope(flow, cases.z),
             by_continuity[:, -cases.n_times :],
-            solve_area(engine, parameters, flow, start, grid, config),
+            solve_area(engine, parameters, flow, start, train.grid, config),
         )
     return results

@@ -22,12 +22,7 @@ from scipy.ndimage import minimum_filter
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import positive, whole
-from pcnde_bridge.config import (
-    PAPER,
-    PCNDEConfig,
-    Term,
-    resolve_pcnde_config,
-)
+from pcnde_bridge.config import PAPER, PCNDEConfig, Term, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineName, select_engine
@@ -297,48 +292,35 @@ def explore_landscapes(
         If an argument is invalid.
     """
     amplitudes(amplitude, points)
-    config = resolve_pcnde_config(config)
+    config, seed = resolve_pcnde_config(config), whole("seed", seed)
     if config.training != "minibatch":
         raise InputError("Loss landscapes need training='minibatch'; change the config.")
     if not right_hand_sides:
         raise InputError("right_hand_sides is empty: name at least one, such as 'network': ().")
-    whole("seed", seed)
     chosen = select_engine(engine)
-    procedure = staged_training(cases, config, chosen)
-    start = procedure.start(seed)
-    tasks = [step.task for step in procedure.steps(start)]
-    first_coupling = tasks.index("coupling") + 1
-    flow_and_area = tasks.index("temporal_pressure")
+    procedures = {
+        name: staged_training(cases, config.replace(flow={"terms": terms}), chosen)
+        for name, terms in right_hand_sides.items()
+    }
+    start = next(iter(procedures.values())).start(seed)
     iterations = len(start.batches) * config.flow.epochs * config.flow.iterations
-
     landscapes: list[Landscape] = []
     outcomes: dict[str, str] = {}
     frames: list[pd.DataFrame] = []
-    with training_session(progress, iterations * len(right_hand_sides)) as session:
-        for name, terms in right_hand_sides.items():
-            procedure = staged_training(cases, config.replace(flow={"terms": terms}), chosen)
+    with training_session(progress, iterations * len(procedures)) as session:
+        for name, procedure in procedures.items():
             records = _Records(session)
-            trainer = Trainer(procedure, None, records.on_iteration, records.on_fit_end)
-            draw = partial(_draw, name, procedure, amplitude=amplitude, points=points, seed=seed)
-            try:
-                try:
-                    state = trainer.run(start, until=1)
-                except SolveError:  # the first fit cannot start
-                    landscapes.append(draw("initial", start))
-                    raise
-                landscapes.append(draw("initial", state))
-                state = trainer.run(state, until=first_coupling)
-                landscapes.append(draw("coupled", state))
-                trainer.run(state, until=flow_and_area)
-                outcomes[name] = "trained"
-            except SolveError:
-                outcomes[name] = _where(records.iterations)
+            evaluate = partial(
+                _evaluate, name, procedure, amplitude=amplitude, points=points, seed=seed
+            )
+            found, outcomes[name] = _train(procedure, start, records, evaluate)
+            landscapes += found
             frames.append(histories.to_frame(records.iterations).assign(right_hand_side=name))
     return LandscapeStudy(tuple(landscapes), outcomes, pd.concat(frames, ignore_index=True))
 
 
 class _Records:
-    """All iterations; those of the flow, which the progress counts, are passed on."""
+    """All iterations, also those before a divergence; progress counts those of the flow."""
 
     def __init__(self, session: Session) -> None:
         self.iterations: list[Iteration] = []
@@ -355,7 +337,32 @@ class _Records:
         self._session.on_fit_end(outcome)
 
 
-def _draw(
+def _train(
+    procedure: StagedTraining,
+    start: TrainingState,
+    records: _Records,
+    evaluate: Callable[[Moment, TrainingState], Landscape],
+) -> tuple[list[Landscape], str]:
+    """Train flow and area to the end or to a divergence; return landscapes and outcome."""
+    trainer = Trainer(procedure, None, records.on_iteration, records.on_fit_end)
+    tasks = [step.task for step in procedure.steps(start)]
+    landscapes = []
+    try:
+        try:
+            state = trainer.run(start, until=1)
+        except SolveError:  # at the initial parameters
+            landscapes.append(evaluate("initial", start))
+            raise
+        landscapes.append(evaluate("initial", state))
+        state = trainer.run(state, until=tasks.index("coupling") + 1)
+        landscapes.append(evaluate("coupled", state))
+        trainer.run(state, until=tasks.index("temporal_pressure"))
+    except SolveError:
+        return landscapes, _describe_divergence(records.iterations)
+    return landscapes, "trained"
+
+
+def _evaluate(
     name: str,
     procedure: StagedTraining,
     moment: Moment,
@@ -365,7 +372,7 @@ def _draw(
     points: int,
     seed: int,
 ) -> Landscape:
-    """Return the landscape of the first batch, with the area that the network then sees."""
+    """Return the landscape of the first batch, with the area that the network then uses."""
     cases, area, batch = procedure.cases, procedure.coupled_area(state), state.batches[0]
     losses = loss_landscape(
         procedure.engine,
@@ -382,10 +389,10 @@ def _draw(
     return Landscape(name, moment, amplitudes(amplitude, points), losses, error)
 
 
-def _where(records: list[Iteration]) -> str:
-    """Say where training diverged, from the iterations before."""
-    if not records:
+def _describe_divergence(iterations: list[Iteration]) -> str:
+    """Describe where training diverged, from the iterations before."""
+    if not iterations:
         return "diverged at the first parameters"
-    last = records[-1]
+    last = iterations[-1]
     stage = last.stage.replace("_", " ")
     return f"diverged after {stage}, epoch {last.epoch}, batch {last.batch}"
