@@ -1,4 +1,4 @@
-"""Every notebook runs from a clean kernel, and is kept without outputs."""
+"""Every notebook runs in a new kernel, and is stored without outputs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs_and_is_kept_without_outputs(path, tmp_path):
+def test_notebook_runs_and_is_stored_without_outputs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(not cell.outputs and cell.execution_count is None for cell in code)
@@ -26,7 +26,7 @@ def test_notebook_runs_and_is_kept_without_outputs(path, tmp_path):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_figures_do_not_call_simulated_vessels_3d(path):
-    """The default name of the truth is the paper's; the notebooks have the 1D solver's."""
+    """The notebooks name the truth, because the default name is that of the paper's 3D data."""
     cells = [cell.source for cell in nbformat.read(path, as_version=4).cells]
     named = ("smoothness(", "time_and_space(", "noise(", "results(", "fourier_effect(")
     drawn = [line for cell in cells for line in cell.splitlines() if line.startswith(named)]

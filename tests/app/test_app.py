@@ -1,4 +1,4 @@
-"""``pcnde app``: what it computes, who may reach it, and the page in a browser."""
+"""``pcnde app``: its inputs and curves, its access checks, and the page in a browser."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FACTORS = {name: factor for name, (*_, factor) in QUANTITIES.items()}
 
 @pytest.fixture(scope="module")
 def model():
-    """Model of the preset ``physics``, put together rather than fitted."""
+    """Model of the preset ``physics``, with given parameters instead of a fit."""
     rng = np.random.default_rng(7)
     members = CORRECTED.correction + 0.3 * np.where(np.arange(21) < 4, 0, rng.normal(size=(2, 21)))
     uncertainty = Uncertainty(
@@ -59,7 +59,7 @@ def explorer(model):
 
 @pytest.fixture
 def bound(small_cases, toy_config, toy_engine):
-    """Model that is bound to its grid and does not know its training data."""
+    """Model that is bound to its grid and has no record of its training data."""
     grid = small_cases.grid
     return PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
 
@@ -74,7 +74,7 @@ def table(time, *columns, header="time,flow"):
     return "\n".join([header, *rows]).encode()
 
 
-# ---- what may be chosen ------------------------------------------------------
+# ---- inputs ------------------------------------------------------
 
 
 def test_controls_follow_the_training_data(model):
@@ -86,7 +86,7 @@ def test_controls_follow_the_training_data(model):
     assert (choices.blockage.low, choices.blockage.high) == pytest.approx((0.3, 0.7), abs=5e-3)
     assert choices.position.start == 2.0
     assert choices.healthy.diameter == pytest.approx(2 * np.sqrt(0.125 / np.pi), rel=5e-3)
-    # Half as deep as the throat where the training vessel is.
+    # Half as deep as the throat at the same distance as the training vessel.
     inputs = choices.inputs(0.7, 1.0)
     radius = np.sqrt(VESSELS[3]) - np.sqrt(0.125)
     throat = inputs.vessel.radius_undeformed(Z) - inputs.vessel.diameter / 2
@@ -110,7 +110,7 @@ def test_a_single_training_case_and_an_unknown_one_give_controls(model, bound):
     choices = Choices.from_model(bound)
     assert not choices.from_training
     assert not choices.any_grid
-    # A model that is bound to its points keeps the stenosis where it was.
+    # A model that is bound to its points keeps the position of the stenosis.
     assert choices.inputs(0.5, 1, position=1.0, length=0.9) == choices.inputs(0.5, 1)
     assert Explorer(bound).novelty(choices.initial) is None
 
@@ -123,7 +123,7 @@ def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
     assert explorer.novelty(choices.inputs(0.5, 1.0, position=1.0))[1] > max(1.0, 3 * inside[1])
 
 
-def test_another_period_is_outside_as_predictions_say(model, explorer):
+def test_another_period_is_outside_as_in_predictions(model, explorer):
     uploaded = table(0.8 * TIME, waves()[1])
     waveform, _ = read_waveform(uploaded, "mine.csv", model)
     inputs = explorer.choices.inputs(0.5, 1.0, waveform=waveform)
@@ -133,10 +133,10 @@ def test_another_period_is_outside_as_predictions_say(model, explorer):
     assert explorer.novelty(explorer.choices.inputs(0.5, 1.0)).period == 0
 
 
-# ---- what is shown -----------------------------------------------------------
+# ---- curves -----------------------------------------------------------
 
 
-def test_curves_are_the_predictions_and_come_when_they_are_ready(model, explorer):
+def test_curves_equal_the_predictions_and_include_cached_results(model, explorer):
     inputs, other = (explorer.choices.inputs(blockage, 0.8) for blockage in (0.55, 0.56))
     found = predicted(model, inputs)
     along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
@@ -180,8 +180,8 @@ def test_solver_has_the_models_wall_and_outlet(explorer, bound):
     assert outlet.resistance == pytest.approx((p @ q) / (q @ q))
 
 
-def test_errors_are_kept_and_raised_again(explorer):
-    # Flow so strong that no balance is found, or the solver refuses it.
+def test_errors_are_cached_and_raised_again(explorer):
+    # The flow is so strong that the solver finds no solution, or rejects it.
     inputs = explorer.choices.inputs(0.95, 1.0, waveform=Waveform(500.0))
     with pytest.raises(PCNDEError) as first:
         explorer.solution(inputs)
@@ -190,7 +190,7 @@ def test_errors_are_kept_and_raised_again(explorer):
         explorer.solution(inputs)
 
 
-def test_download_is_the_predictions_frame(model, explorer):
+def test_download_equals_the_frame_of_the_prediction(model, explorer):
     inputs = explorer.choices.inputs(0.5, 0.9, position=2.4, length=0.6)
     found = pd.read_csv(io.StringIO(explorer.csv(inputs)))
     expected = predicted(model, inputs, samples=8).to_frame()
@@ -201,7 +201,7 @@ def test_download_is_the_predictions_frame(model, explorer):
 # ---- uploads -----------------------------------------------------------------
 
 
-def test_uploaded_waveform_is_what_the_command_line_would_take(model, bound):
+def test_uploads_are_read_as_on_the_command_line(model, bound):
     waveform, note = read_waveform(table(TIME, waves()[1]), "mine.csv", model)
     assert waveform.samples(32) == pytest.approx(waves()[1], rel=1e-12)
     assert "mine.csv: 32 time points over 1 s" in note
@@ -229,13 +229,13 @@ def test_uploaded_waveform_is_what_the_command_line_would_take(model, bound):
         (b"time,flow\n0,1\n0.1,2\n", "bad.csv: A waveform needs at least 3 samples"),
     ],
 )
-def test_bad_uploads_are_named_and_said(model, content, message):
+def test_invalid_uploads_are_reported(model, content, message):
     with pytest.raises(InputError, match=message) as error:
         read_waveform(content, "bad.csv", model)
     assert "upload.csv" not in str(error.value)
 
 
-# ---- who may reach it --------------------------------------------------------
+# ---- access --------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +257,7 @@ def client(model):
         ({"Host": "127.0.0.1", "Origin": "null"}, 403),
     ],
 )
-def test_only_this_machines_names_are_answered(client, headers, code):
+def test_only_host_names_of_this_machine_are_answered(client, headers, code):
     for path in ("/", "/_dash-layout", "/_dash-dependencies", "/assets/page.js"):
         assert client.get(path, headers=headers).status_code == code
     if code == 403:
@@ -265,7 +265,7 @@ def test_only_this_machines_names_are_answered(client, headers, code):
 
 
 def ask(client, **changes):
-    """Have the page's callback draw; its outputs by component."""
+    """Call the drawing callback of the page, and return its response."""
     known = client.get("/_dash-dependencies").json
     draw = next(callback for callback in known if "along.figure" in callback["output"])
     outputs = [name.rsplit(".", 1) for name in draw["output"].strip(".").split("...")]
@@ -283,16 +283,16 @@ def ask(client, **changes):
     return client.post("/_dash-update-component", json=body, headers={"Host": "localhost"})
 
 
-def test_the_page_says_that_another_period_is_outside(client, explorer):
+def test_another_period_is_reported_as_outside(client, explorer):
     waveform, length = explorer.choices.base, explorer.choices.length.start
-    for period, look, said in (
+    for period, css_class, text in (
         (1.0, "inside", "period 0.00"),
         (0.8, "outside", "The period is unlike any"),
     ):
         changed = dataclasses.asdict(dataclasses.replace(waveform, period=period))
         response = ask(client, length=length, waveform=changed).json["response"]
-        assert response["novelty"]["className"] == look
-        assert said in str(response["novelty"]["children"])
+        assert response["novelty"]["className"] == css_class
+        assert text in str(response["novelty"]["children"])
 
 
 @pytest.mark.parametrize(
@@ -311,14 +311,14 @@ def test_requests_that_the_page_never_makes_are_not_answered(client, changes):
     assert (response.status_code, response.data) == (204, b"")
 
 
-def test_page_loads_nothing_from_elsewhere(client):
+def test_page_loads_nothing_from_other_hosts(client):
     page = client.get("/").text
     loaded = re.findall(r'(?:src|href)="([^"]+)"', page)
     assert len(loaded) > 5
     assert all(path.startswith("/") and not path.startswith("//") for path in loaded)
 
 
-def test_server_is_bound_to_this_machine_and_says_when_a_port_is_taken(model):
+def test_server_listens_on_this_machine_and_reports_a_used_port(model):
     pytest.importorskip("dash", reason="the extra app is not installed")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -333,7 +333,7 @@ def test_server_is_bound_to_this_machine_and_says_when_a_port_is_taken(model):
         made.server_close()
 
 
-def test_missing_extra_is_named(model, tmp_path, run_pcnde, monkeypatch):
+def test_a_missing_extra_is_reported(model, tmp_path, run_pcnde, monkeypatch):
     monkeypatch.setattr(server, "find_spec", lambda name: None)
     model.save(tmp_path / "model.npz")
     code, _, errors = run_pcnde("app", tmp_path / "model.npz")
@@ -346,7 +346,7 @@ def test_missing_extra_is_named(model, tmp_path, run_pcnde, monkeypatch):
 
 @pytest.fixture(scope="module")
 def bench():
-    """The benchmark, which knows how to drive a browser."""
+    """Benchmark of the page, which has functions to control a browser."""
     pytest.importorskip("dash", reason="the extra app is not installed")
     pytest.importorskip("selenium")
     spec = importlib.util.spec_from_file_location("app_benchmark", ROOT / "benchmarks" / "app.py")
@@ -366,7 +366,7 @@ def page(bench, model):
 
 
 def drawn(bench, page, column, trace="prediction"):
-    """Ordinates of a trace in every panel, by variable."""
+    """Return the ordinates of a trace in every panel, by variable."""
     found = [t["y"] for t in bench.curves(page, column) if t["name"] == trace]
     return dict(zip(("flow", "area", "pressure"), map(np.array, found), strict=True))
 
@@ -377,7 +377,7 @@ def chosen(page, control):
 
 
 def assert_drawn(bench, page, model, inputs):
-    """The curves become what the model predicts, along the vessel and over the cycle."""
+    """Wait until the curves equal the prediction, along the vessel and over the cycle."""
     found = predicted(model, inputs)
     time_point, grid_point = (int(chosen(page, name)) for name in ("time-point", "grid-point"))
 
@@ -403,7 +403,7 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     assert_drawn(bench, page, model, inputs)
     after = drawn(bench, page, "along")
     assert all(not np.allclose(before[name], after[name], rtol=1e-6, atol=0) for name in FACTORS)
-    # What belongs to these inputs comes later.
+    # Interval and solver follow later.
     bench.wait_for(lambda: bench.settled(page))
     limits = predicted(model, inputs, samples=64).interval(0.9)["pressure"]
     time_point = int(chosen(page, "time-point"))
@@ -413,7 +413,7 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     assert len(drawn(bench, page, "over", "1D solver")["flow"]) == 100
 
 
-def test_novelty_and_its_warning_are_said(bench, page, model):
+def test_novelty_and_its_warning_are_shown(bench, page, model):
     from selenium.webdriver.common.keys import Keys
 
     thumb = page.find_element("css selector", "#scale [role=slider]")
@@ -425,7 +425,7 @@ def test_novelty_and_its_warning_are_said(bench, page, model):
     assert "The model extrapolates" in novelty.text
 
 
-def test_uploads_are_drawn_or_refused_in_words(bench, page, model, tmp_path):
+def test_uploads_are_drawn_or_rejected(bench, page, model, tmp_path):
     upload = page.find_element("css selector", "#upload input[type=file]")
     note = page.find_element("id", "uploaded")
     bad, good = tmp_path / "bad.csv", tmp_path / "good.csv"
@@ -445,7 +445,7 @@ def test_uploads_are_drawn_or_refused_in_words(bench, page, model, tmp_path):
     assert_drawn(bench, page, model, choices.inputs(blockage, choices.scale.start))
 
 
-def test_page_is_whole_and_from_this_machine_alone(bench, page):
+def test_page_fits_its_window_and_loads_from_this_machine_only(bench, page):
     names = page.execute_script(
         "return performance.getEntriesByType('resource').map((entry) => entry.name)"
     )

@@ -9,7 +9,7 @@ from pcnde_bridge.model.prediction import Prediction
 
 @pytest.fixture(scope="module")
 def predicted(small_cases):
-    """Near the truth, but no variable equal to it."""
+    """Variables near the truth, but different from it."""
     return {
         "flow": small_cases.flow * 1.01,
         "area": small_cases.area * 0.99,

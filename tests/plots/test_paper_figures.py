@@ -1,4 +1,4 @@
-"""``pcnde figures``: which figures, their files, and what it says when it cannot."""
+"""``pcnde figures``: figures, files and error messages."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ ALWAYS = [figure.name for figure in FIGURES if not figure.cost]
 
 
 @pytest.fixture
-def unpainted(monkeypatch):
-    """Painting takes longer than all the rest; tests of the figures do it."""
+def without_pictures(monkeypatch):
+    """Write no pictures, which would take longest; other tests draw the figures."""
 
     def write(folder, name, drawn):
         (folder / f"{name}.png").write_bytes(b"\x89PNG")
@@ -52,7 +52,7 @@ def toy_model(small_cases, toy_config, toy_engine) -> PCNDE:
 
 
 class Shifted:
-    """Another method: the truth, a little larger."""
+    """Another method, which returns 1.1 times the truth."""
 
     def fit(self, train):
         return self
@@ -70,13 +70,13 @@ def data(toy_model, small_cases) -> FigureData:
     return FigureData(toy_model, small_cases, *small_cases.split("paper"), other=Shifted())
 
 
-FLOW_ANEW = ("smoothness", "loss-landscapes")
-"""Figures that fit the flow anew with equations that the toy engine does not have."""
+NEW_FLOW_FITS = ("smoothness", "loss-landscapes")
+"""Figures that fit the flow again, with equations that the toy engine lacks."""
 
 
-def test_every_figure_is_made(data, tmp_path, unpainted):
+def test_every_figure_is_made(data, tmp_path, without_pictures):
     seen = []
-    entries = [figure for figure in FIGURES if figure.name not in FLOW_ANEW]
+    entries = [figure for figure in FIGURES if figure.name not in NEW_FLOW_FITS]
     made = make_figures(
         data,
         tmp_path / "out",
@@ -99,7 +99,7 @@ def test_every_figure_is_made(data, tmp_path, unpainted):
     assert len(tables["activations"]) == 5
 
 
-def test_files_are_whole_and_repeatable(data, tmp_path):
+def test_files_are_complete_and_reproducible(data, tmp_path):
     for folder in ("one", "two"):
         (made,) = make_figures(data, tmp_path / folder, only=["box-plots"])
         assert [path.name for path in made.files] == [
@@ -116,7 +116,7 @@ def test_files_are_whole_and_repeatable(data, tmp_path):
     assert {p.name for p in (tmp_path / "one").iterdir()} == {f.name for f in made.files}
 
 
-def test_a_failure_leaves_no_half_figure(data, tmp_path, monkeypatch):
+def test_a_failure_leaves_no_partial_file(data, tmp_path, monkeypatch):
     (tmp_path / "box-plots.png").write_text("old")
 
     def savefig(path, **options):
@@ -133,7 +133,7 @@ def test_a_failure_leaves_no_half_figure(data, tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_what_does_not_suit_the_model_is_left_out_or_refused(data, tmp_path, unpainted):
+def test_unsuitable_figures_are_left_out_or_rejected(data, tmp_path, without_pictures):
     data.model.config = PHYSICS.replace()
     data.__dict__["_predicted"] = Shifted().predict(data.cases)
     chosen = [name for name in ALWAYS if not name.startswith("noise")]
@@ -148,7 +148,7 @@ def test_what_does_not_suit_the_model_is_left_out_or_refused(data, tmp_path, unp
     assert "no Fourier stage" in left["fourier-effect"]
 
 
-def test_equations_that_diverge_cost_one_figure_only(data, tmp_path, unpainted, monkeypatch):
+def test_divergence_affects_one_figure_only(data, tmp_path, without_pictures, monkeypatch):
     def diverges(*arguments, **options):
         raise SolveError("case 3 diverges")
 
@@ -160,7 +160,7 @@ def test_equations_that_diverge_cost_one_figure_only(data, tmp_path, unpainted, 
         make_figures(data, tmp_path, only=["noise-area"])
 
 
-def test_another_grid_is_refused_at_once(data, small_cases, tmp_path):
+def test_another_grid_is_rejected_first(data, small_cases, tmp_path):
     cut = Cases(
         small_cases.flow[:, :, 1:],
         small_cases.area[:, :, 1:],
@@ -175,7 +175,7 @@ def test_another_grid_is_refused_at_once(data, small_cases, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_other_method_may_not_suit_the_data(data, caplog):
+def test_an_unsuitable_other_method_is_omitted(data, caplog):
     class Unsuitable(Shifted):
         def predict(self, cases):
             raise InputError("the points are too far apart")
@@ -193,7 +193,7 @@ def test_without_test_cases_the_training_cases_are_evaluated(toy_model, small_ca
     assert list(module._results.draw(data).numbers.index) == [("PCNDE", "train")]
 
 
-def test_predictions_keep_to_their_cases(data, small_cases):
+def test_predictions_match_their_cases(data, small_cases):
     shuffled = small_cases.select([7, 0, 11])
     alone = data.model.predict(shuffled).flow
     assert data.predicted(shuffled)["flow"].tolist() == alone.tolist()
@@ -232,7 +232,7 @@ def test_choosing():
 
 @pytest.fixture
 def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
-    """A model, a data set and a split in files."""
+    """Files of a model, a data set and a split."""
     toy_model.save(tmp_path / "model.npz")
     small_cases.save(tmp_path / "cases.npz")
     split = {"train": [[1, 0], [1, 1], [2, 0]], "test": [[3, 3], [3, 2]]}
@@ -243,17 +243,17 @@ def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
 
 
 @pytest.mark.slow
-def test_figures_that_fit_the_flow_anew(small_model, small_cases, small_split, tmp_path):
+def test_figures_with_new_flow_fits(small_model, small_cases, small_split, tmp_path):
     train, test = small_cases.split(small_split)
     made = make_figures(
-        FigureData(small_model, small_cases, train, test, other=None), tmp_path, only=FLOW_ANEW
+        FigureData(small_model, small_cases, train, test, other=None), tmp_path, only=NEW_FLOW_FITS
     )
     for result in made:
         assert {path.suffix for path in result.files} == {".png", ".pdf", ".csv"}
         assert len(result.numbers)
 
 
-def test_pcnde_figures(run_pcnde, files, unpainted):
+def test_pcnde_figures(run_pcnde, files, without_pictures):
     out = files / "made"
     code, text, notes = run_pcnde(
         "figures", files / "model.npz", files / "cases.npz", "--out", out, "--split", "paper"
@@ -263,7 +263,7 @@ def test_pcnde_figures(run_pcnde, files, unpainted):
     assert f"[1/{len(ALWAYS)}] data-set: waveforms" in notes
     assert f"[{len(ALWAYS)}/{len(ALWAYS)}] noise-area" in notes
     assert "Left out without --studies: activations (fits the pressure stages five times)" in text
-    assert all(name in text for name in FLOW_ANEW)
+    assert all(name in text for name in NEW_FLOW_FITS)
     assert str(out) in text
 
 
@@ -285,7 +285,7 @@ def test_pcnde_figures_only_and_with_a_split(run_pcnde, files):
     assert "--studies" not in text
 
 
-def test_pcnde_figures_with_workers(run_pcnde, files, unpainted, monkeypatch):
+def test_pcnde_figures_with_workers(run_pcnde, files, without_pictures, monkeypatch):
     made = []
 
     def pool(workers):
@@ -304,7 +304,7 @@ def test_pcnde_figures_with_workers(run_pcnde, files, unpainted, monkeypatch):
         assert [path.name for path in (files / folder).iterdir()] == ["noise-inflow.png"]
 
 
-def test_pcnde_figures_says_what_is_wrong(run_pcnde, files):
+def test_pcnde_figures_reports_errors(run_pcnde, files):
     model, data = files / "model.npz", files / "cases.npz"
     (files / "file").write_text("mine")
     for arguments, words in (

@@ -34,7 +34,7 @@ def test_results(predicted, small_cases):
     np.testing.assert_allclose(drawn(flow[1], TRUTH), small_cases.flow[:, 5])
     np.testing.assert_allclose(drawn(flow[1], OTHER), other["flow"][:, 5])
     np.testing.assert_allclose(drawn(pressure[0], MODEL), predicted["pressure"][:, :, 18] / MMHG)
-    # One area only, with the margins of its error.
+    # There is one area only, with the limits of its error.
     np.testing.assert_allclose(drawn(area[0], TRUTH), [100 * small_cases.area[2, :, 18]])
     edges = [line.get_xdata()[0] for line in area[1].lines if line.get_color() == "black"]
     assert edges == [small_cases.z[5], small_cases.z[-6]]

@@ -61,5 +61,5 @@ def test_noise(small_cases, predicted):
     middle = mean["flow"][:, 18]
     assert band.max() == pytest.approx(1.1 * middle.max())
     assert band.min() == pytest.approx(0.9 * middle.min())
-    # Time and space have axes of their own.
+    # Time and space have separate axes.
     assert rows[0, 0].get_ylim() != rows[0, 1].get_ylim()

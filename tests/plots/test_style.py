@@ -28,5 +28,5 @@ def test_color_blind_readers_tell_the_curves_of_a_figure_apart(seen):
         colors = [np.cbrt(np.clip(np.array(seen) @ linear(k["color"]), 0, 1)) for k in looks]
         for i, j in combinations(range(3), 2):
             assert np.linalg.norm(colors[i] - colors[j]) > 0.2
-        # And without any color, by the line.
+        # Line styles differ, too.
         assert len({look["ls"] for look in looks}) == 3

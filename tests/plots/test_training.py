@@ -46,7 +46,7 @@ def test_loss_history_of_all_kinds_of_stages():
 
 
 def test_loss_history_of_several_starts():
-    """Fits of many iterations have a line each: a mean over starts would say nothing."""
+    """Fits of many iterations have a line each, because a mean over starts would be meaningless."""
     rows = [("flow", 1, start, i, start / i, 0.1) for start in (1, 2, 3) for i in range(1, 31)]
     rows += [("flow", 2, 1, i, 0.03 / i, 0.1) for i in range(1, 21)]
     history = pd.DataFrame(

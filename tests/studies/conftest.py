@@ -1,4 +1,4 @@
-"""A model by the engine without compilation, its predictions, and the hardest case."""
+"""Fixtures of the studies: a model without compilation, its predictions, and the hardest case."""
 
 from __future__ import annotations
 

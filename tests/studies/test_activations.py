@@ -59,10 +59,10 @@ def test_only_the_pressure_is_fitted_again(toy_model, small_cases, toy_engine):
 def test_explained_variance_by_hand():
     truth = np.array([[[1.0], [3.0]], [[0.0], [4.0]]])
     assert explained_variance(truth, truth) == 1
-    # Only the mean over time, or that and an offset: nothing is explained.
+    # The mean over time alone explains nothing.
     assert explained_variance(truth.mean(axis=1, keepdims=True) + 0 * truth, truth) == 0
     assert explained_variance(truth + 7, truth) == 1
-    # Half of the swing leaves a quarter of its square.
+    # Half of the amplitude leaves a quarter of the variance.
     assert explained_variance(truth / 2, truth) == pytest.approx(0.75)
 
 

@@ -63,7 +63,7 @@ def test_pointwise_errors_are_of_one_case(small_cases, predicted):
         pointwise_errors(predicted, small_cases)
 
 
-def test_errors_in_detail_are_of_like_shapes(small_cases, predicted, hardest):
+def test_shapes_must_equal_those_of_the_truth(small_cases, predicted, hardest):
     with pytest.raises(InputError, match=r"shape \(1, 20, 21\), not \(12, 20, 21\)"):
         box_statistics({"mine": {"flow": predicted["flow"][:1]}}, small_cases)
     with pytest.raises(InputError, match=r"shape \(1, 1, 21\), not \(1, 20, 21\)"):

@@ -58,18 +58,18 @@ def flow_problem(cases):
 
 
 def gentle(inputs):
-    """Less of the wave: with the inertia the whole of it steepens and breaks."""
+    """Reduce the oscillation: with the inertia term, the full waveform steepens and diverges."""
     mean = inputs.inflow.mean(axis=1, keepdims=True)
     return FlowInputs(mean + 0.05 * (inputs.inflow - mean), inputs.area)
 
 
 def quiet(vector):
-    """A network that holds up the friction: where Q comes to zero the inertia is singular."""
+    """Balance the friction by the network: the inertia term is singular where Q is zero."""
     return np.concatenate([0.3 * vector[:-20], np.full(20, 0.35)])
 
 
 def test_terms_are_those_of_the_momentum_equation(engine, small_cases):
-    """All three, against the equation itself, one interval at a time."""
+    """Compare all three terms with the equation itself, one interval at a time."""
     case = small_cases.select([1])
     inputs, grid = flow_problem(case)
     inputs = gentle(inputs)
@@ -132,7 +132,7 @@ def test_center_is_the_loss_of_the_parameters(engine, small_cases, short_config)
     losses = loss_landscape(engine, vector, *args, points=3, amplitude=1e-6, seed=7)
     assert losses.shape == (3, 3)
     assert losses[1, 1] == pytest.approx(loss, rel=1e-12)
-    # The first amplitude goes with the first direction.
+    # The first amplitude belongs to the first direction.
     first, second = np.random.default_rng(7).standard_normal((2, vector.size))
     slopes = (losses[2, 1] - losses[0, 1]) / 2e-6, (losses[1, 2] - losses[1, 0]) / 2e-6
     assert slopes == pytest.approx((gradient @ first, gradient @ second), rel=1e-5)
@@ -150,7 +150,7 @@ def test_directions_are_those_of_the_seed(engine, small_cases, short_config):
     assert not np.allclose(first[0], other[0])
 
 
-def test_study_draws_each_equation_twice(study, small_cases):
+def test_study_evaluates_each_equation_twice(study, small_cases):
     assert study.outcomes["network"] == "trained"
     initial = study.landscape("network", "initial")
     # After the first batch's iterations.
@@ -158,7 +158,7 @@ def test_study_draws_each_equation_twice(study, small_cases):
         "right_hand_side == 'network' and stage == 'flow' and epoch == 1 and batch == 1"
     )
     assert initial.center == pytest.approx(first_batch["loss"].iloc[-1], rel=1e-9)
-    # Two of each equation; no second where the training did not come so far.
+    # Each equation has two landscapes, unless training diverged before.
     drawn = [(each.right_hand_side, each.moment) for each in study.landscapes]
     assert len(set(drawn)) == len(drawn)
     for name, outcome in study.outcomes.items():
@@ -169,7 +169,7 @@ def test_study_draws_each_equation_twice(study, small_cases):
     assert list(zip(centres["right_hand_side"], centres["moment"], strict=True)) == drawn
     assert len(frame) == 25 * len(drawn)
     np.testing.assert_array_equal(frame["loss"][:25], initial.losses.ravel())
-    # The network saw S_u before the coupling, and another area after it.
+    # The network uses S_u before the coupling, and another area after it.
     inside = np.s_[:, :, 5:-5]
     start, truth = (
         a[inside]
@@ -182,7 +182,7 @@ def test_study_draws_each_equation_twice(study, small_cases):
 
 
 def test_divergence_is_recorded(engine, small_cases, short_config):
-    """A step of the adaptive solver is too few, wherever the network goes."""
+    """Two steps of the adaptive solver are too few for all parameters."""
     config = short_config.replace(flow={"steps": None, "max_steps": 2})
     seen = []
     study = explore_landscapes(
@@ -238,7 +238,7 @@ class TestEnginesAgree:
     @pytest.mark.parametrize(
         ("terms", "solver", "agreement"),
         [
-            # The study has the convection alone; JAX compiles each anew.
+            # The study covers convection alone; JAX compiles each of these.
             pytest.param(TERMS[:1], {"steps": 40}, 1e-12, id=TERMS[0], marks=pytest.mark.slow),
             pytest.param(TERMS[1:2], {"steps": 40}, 1e-12, id=TERMS[1], marks=pytest.mark.slow),
             pytest.param(TERMS[2:], {"steps": 40}, 1e-12, id=TERMS[2]),
@@ -251,7 +251,7 @@ class TestEnginesAgree:
         inputs, grid = flow_problem(cases)
         inputs = gentle(inputs)
         if "steps" not in solver:
-            # Kinks of S pass round-off on to the steps: here S is linear in z.
+            # Kinks of S amplify round-off through the step sizes, so S is linear in z here.
             taper = np.linspace(1.0, 0.8, cases.n_points)
             inputs = FlowInputs(inputs.inflow, inputs.area[:, :, :1] * taper)
         config = PAPER.replace(flow={"terms": terms, "hidden": (4,), **solver})
@@ -263,7 +263,7 @@ class TestEnginesAgree:
         assert relative_error(by_julia, by_jax) < agreement
 
     def test_on_many_losses_and_where_they_diverge(self, both, small_cases):
-        """Where the network lets the flow fall to zero, the inertia is singular."""
+        """The inertia term is singular where the network lets the flow fall to zero."""
         inputs, grid = flow_problem(small_cases)
         config = PAPER.replace(flow={"terms": TERMS, "hidden": (4,)})
         first = initial_parameters(config, small_cases.n_times, small_cases.n_points, 0).flow
@@ -282,7 +282,7 @@ class TestEnginesAgree:
             assert julia.area_error == pytest.approx(jax.area_error, rel=1e-6)
 
     def test_on_a_prediction(self, both, small_cases):
-        """Stage by stage, as the quick way of neither engine knows terms."""
+        """Predict stage by stage, because the fused prediction of neither engine has terms."""
         cases = small_cases.select([1])
         inputs, grid = flow_problem(cases)
         config = PAPER.replace(flow={"terms": TERMS, "steps": 80, "hidden": (4,)})
@@ -301,7 +301,7 @@ class TestEnginesAgree:
         assert julia.pressure is None
 
 
-def test_an_unknown_term_is_declined():
+def test_an_unknown_term_is_rejected():
     with pytest.raises(InputError, match=r"terms\[1\] must be one of .*friction"):
         PAPER.replace(flow={"terms": ("friction", "gravity")})
 

@@ -45,7 +45,7 @@ def test_noise_has_its_size_and_leaves_the_other_input(hardest):
     size = 0.05 * hardest.inflow.max()
     np.testing.assert_allclose(inflow[2:].std(axis=0), size, rtol=0.06)
     np.testing.assert_allclose(inflow[2:].mean(axis=0), hardest.inflow[0], atol=0.1 * size)
-    # Every instant is drawn on its own.
+    # Every time point has independent noise.
     correlation = np.corrcoef((inflow[2:] - hardest.inflow).T) - np.eye(inflow.shape[1])
     assert np.abs(correlation).max() < 0.1
 
@@ -71,7 +71,7 @@ def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest):
 
 
 def test_tasks_can_be_sent_to_processes(small_model, hardest):
-    """The tasks' arguments can be pickled, and give the same result there."""
+    """Arguments of the tasks can be pickled, and give the same result."""
     sent = []
 
     class Process(Executor):
