@@ -16,7 +16,7 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import anchor
 from pcnde_bridge.engines.types import Fit, FlowInputs, OnIteration
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.training.collocation import Collocation
+from pcnde_bridge.training.collocation import collocation
 from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.whitening import Whitening
 
@@ -162,7 +162,7 @@ def fit_flow(
     if config.flow.terms:
         iterations += settings.collocation_iterations
     else:
-        known = Collocation(target, area, weight, cases.z, selection, whitening, config)
+        known = collocation(target, area, weight, cases.z, selection, whitening, config)
         ends = [
             run(number, partial(known.fit, start, lbfgs=engine.lbfgs))
             for number, start in enumerate(starts, first)

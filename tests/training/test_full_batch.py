@@ -40,7 +40,7 @@ from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.predictor import predict
 from pcnde_bridge.training import flow_fit, full_batch
 from pcnde_bridge.training.area_fit import fit_area_stage
-from pcnde_bridge.training.collocation import Collocation
+from pcnde_bridge.training.collocation import collocation
 from pcnde_bridge.training.flow_fit import amplitude_weight, balanced_flow, fit_flow
 from pcnde_bridge.training.full_batch import count_iterations, plan
 from pcnde_bridge.training.lbfgs import minimize
@@ -49,6 +49,7 @@ from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.spatial_pressure_fit import fit_spatial_pressure
 from pcnde_bridge.training.temporal_pressure_fit import fit_temporal_pressure
 from pcnde_bridge.training.trainer import Trainer, staged_training
+from pcnde_bridge.training.variable_projection import VariableProjection
 from pcnde_bridge.training.whitening import Whitening
 
 LITTLE = FAST.replace(
@@ -529,7 +530,7 @@ def test_the_validation_error_has_the_weights_of_the_loss(engine, small_cases, g
         return unchanged(coordinates)
 
     monkeypatch.setattr(flow_fit, "minimize", validated_once)
-    monkeypatch.setattr(Collocation, "fit", lambda _, start, *__, **___: unchanged(start))
+    monkeypatch.setattr(VariableProjection, "fit", lambda _, start, *__, **___: unchanged(start))
     vector = fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     flow = engine.flow.solve(vector, FlowInputs(small_cases.inflow, area), grid, LITTLE)
     off = flow - balanced_flow(small_cases, fitted, LITTLE)
@@ -550,14 +551,14 @@ def test_the_best_of_several_starts_goes_on(
     starts = [initial_parameters(config, 20, 21, 0, start).flow for start in range(3)]
     assert not np.array_equal(starts[0], starts[1])
     asked, along = [], []
-    fit_along = Collocation.fit
+    fit_along = VariableProjection.fit
 
     def kept(*args, **options):
         found = fit_along(*args, **options)
         along.append(found.parameters)
         return found
 
-    monkeypatch.setattr(Collocation, "fit", kept)
+    monkeypatch.setattr(VariableProjection, "fit", kept)
 
     def fit(*chosen):
         def run(number, optimize):
@@ -606,7 +607,7 @@ def known_flow(cases, config, chosen):
     inputs = seen.reshape(-1, 2 * cases.n_times)
     whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
     weight = amplitude_weight(cases.inflow, chosen[0], config.full_batch.amplitude_exponent)
-    known = Collocation(cases.flow, area, weight, cases.z, chosen, whitening, config)
+    known = collocation(cases.flow, area, weight, cases.z, chosen, whitening, config)
     return known, whitening, area
 
 
@@ -634,10 +635,9 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
 def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything, monkeypatch):
     seen = {}
 
-    class Seen(Collocation):
-        def __init__(self, flow, area, weight, *others):
-            seen["known flow"] = weight
-            super().__init__(flow, area, weight, *others)
+    def seen_collocation(flow, area, weight, *others):
+        seen["collocation"] = weight
+        return collocation(flow, area, weight, *others)
 
     make = engine.flow.objective
 
@@ -645,7 +645,7 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything,
         seen["equation"] = weight
         return make(inputs, target, weight, *others)
 
-    monkeypatch.setattr(flow_fit, "Collocation", Seen)
+    monkeypatch.setattr(flow_fit, "collocation", seen_collocation)
     monkeypatch.setattr(engine.flow, "objective", objective)
     area = undeformed(small_cases.area_undeformed, 20)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
@@ -654,7 +654,7 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, everything,
         small_cases.inflow, everything[0], LITTLE.full_batch.amplitude_exponent
     )
     assert np.ptp(expected) > 0.1
-    assert np.array_equal(seen["known flow"], expected)
+    assert np.array_equal(seen["collocation"], expected)
     assert np.array_equal(seen["equation"], expected)
 
 
@@ -673,8 +673,8 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
         # The decay is in units of the flow's squares.
         decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
         settings = config.replace(full_batch={"weight_decay": decay})
-        known = Collocation(*arrays, weights, small_cases.z, chosen, whitening, settings)
-        found.append(known._objective(whitening.coordinates(vector)[: -known._last]))
+        known = collocation(*arrays, weights, small_cases.z, chosen, whitening, settings)
+        found.append(known.objective(known.coordinates(vector)))
     (loss, gradient), (expected, its_gradient) = found
     assert loss == pytest.approx(expected, rel=1e-8)
     assert np.allclose(gradient, its_gradient, rtol=0, atol=1e-8 * np.abs(gradient).max())
@@ -687,14 +687,14 @@ def test_the_gradient_along_the_known_flow(small_cases, everything, activation, 
         flow={"hidden": (4, 3), "activation": activation, "loss": loss},
         full_batch={"weight_decay": 1e-4},
     )
-    known, whitening, _ = known_flow(small_cases, config, everything)
-    start = whitening.coordinates(initial_parameters(config, 20, 21, 0).flow)[: -4 * 20]
-    found, gradient = known._objective(start)
+    known, _, _ = known_flow(small_cases, config, everything)
+    start = known.coordinates(initial_parameters(config, 20, 21, 0).flow)
+    found, gradient = known.objective(start)
     rng = np.random.default_rng(0)
     for _ in range(3):
         way = rng.normal(size=start.size)
         step = 1e-5
-        rise = known._objective(start + step * way)[0] - known._objective(start - step * way)[0]
+        rise = known.objective(start + step * way)[0] - known.objective(start - step * way)[0]
         assert gradient @ way == pytest.approx(rise / (2 * step), rel=1e-5)
     assert found > 0
 
@@ -721,7 +721,7 @@ def test_starts_whose_equation_diverges_are_left(engine, small_cases, validation
     start = initial_parameters(LITTLE, 20, 21, 0).flow
     area = undeformed(small_cases.area_undeformed, 20)
     far = unchanged(np.full_like(start, 1e6))
-    monkeypatch.setattr(Collocation, "fit", lambda *_, **__: far)
+    monkeypatch.setattr(VariableProjection, "fit", lambda *_, **__: far)
     fitted = fit_flow([start], small_cases, area, parts, engine, LITTLE, 3)
     assert np.isfinite(fitted).all() and np.abs(fitted).max() < 1e3
 
