@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from pcnde_bridge.config import PHYSICS, Physics
+from pcnde_bridge.config import FAST, PHYSICS, Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
@@ -238,3 +238,20 @@ def case_pairs(cases):
 def with_labels(cases, labels):
     axes = cases.area_undeformed, cases.time, cases.z
     return Cases(cases.flow, cases.area, cases.pressure, *axes, period=cases.period, labels=labels)
+
+
+# Preset ``fast`` with few iterations, and a validation part.
+LITTLE = FAST.replace(
+    coupling_passes=2,
+    full_batch={
+        "rounds": 2,
+        "validation": 0.3,
+        "collocation_iterations": 6,
+        "whitening": 1e-2,
+        "iterations": 8,
+        "later_iterations": 5,
+        "pressure_iterations": 12,
+        "patience": 4,
+        "check_every": 2,
+    },
+)

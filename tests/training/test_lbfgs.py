@@ -1,0 +1,91 @@
+"""L-BFGS with weight decay and early stopping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import julia_or_skip
+
+from pcnde_bridge import (
+    SolveError,
+)
+from pcnde_bridge.config import (
+    FullBatch,
+)
+from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
+from pcnde_bridge.training.lbfgs import minimize
+
+
+@pytest.fixture(params=["scipy", pytest.param("optim", marks=pytest.mark.julia)])
+def lbfgs(request):
+    return lbfgs_of_scipy if request.param == "scipy" else julia_or_skip().lbfgs
+
+
+def bowl(x):
+    scale = np.array([1.0, 10.0, 100.0])
+    return float(np.sum(scale * (x - 1) ** 2)), 2 * scale * (x - 1)
+
+
+def test_the_minimizer_finds_the_minimum_and_tells_the_loss(lbfgs):
+    seen = []
+    found = minimize(
+        bowl,
+        np.zeros(3),
+        FullBatch(weight_decay=0.0),
+        50,
+        1.0,
+        on_iteration=lambda i, loss: seen.append((i, loss)),
+        lbfgs=lbfgs,
+    )
+    assert np.allclose(found.parameters, 1, atol=1e-7)
+    assert (found.converged, found.message) == (True, "loss falls no more")
+    assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
+    assert seen[-1][1] < 1e-12
+    decayed = minimize(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
+    assert np.allclose(decayed.parameters, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
+
+
+def test_a_diverging_trial_step_is_shortened(lbfgs):
+    trials = []
+
+    def cliff(x):
+        trials.append(bool(x.max() > 1.5))
+        return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
+
+    settings = FullBatch(weight_decay=0.0)
+    found = minimize(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
+    assert any(trials)
+    assert np.allclose(found.parameters, 1, atol=1e-5)
+    with pytest.raises(SolveError, match="not finite at the first parameters"):
+        minimize(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs=lbfgs)
+
+
+def test_early_stopping_keeps_the_best(lbfgs):
+    seen, looks = [], []
+
+    def validate(x):
+        looks.append(x.copy())
+        return abs(len(looks) - 2.0)
+
+    settings = FullBatch(weight_decay=0.0, check_every=1, patience=2)
+    found = minimize(
+        bowl,
+        np.zeros(3),
+        settings,
+        50,
+        1.0,
+        validate,
+        lambda *record: seen.append(record),
+        lbfgs=lbfgs,
+    )
+    assert len(seen) == len(looks) == 4
+    assert np.array_equal(found.parameters, looks[1])
+    assert (found.converged, found.message) == (False, "validation error falls no more")
+
+
+def test_what_converged_before_the_first_look_is_kept(lbfgs):
+    settings = FullBatch(weight_decay=0.0, check_every=1000)
+    found = minimize(
+        bowl, np.zeros(3), settings, 2000, 1.0, lambda x: float(np.sum((x - 1) ** 2)), lbfgs=lbfgs
+    )
+    assert np.allclose(found.parameters, 1, atol=1e-7)

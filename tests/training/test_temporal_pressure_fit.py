@@ -1,0 +1,40 @@
+"""Fit of the pressure network."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers import LITTLE
+
+from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.types import (
+    TemporalPressureInputs,
+)
+from pcnde_bridge.training.temporal_pressure_fit import fit_temporal_pressure
+
+
+@pytest.mark.parametrize("activation", ["tanh", "gelu", "sigmoid", "swish"])  # relu starts dead
+def test_the_pressure_networks_last_layer_is_at_its_minimum(
+    engine, small_cases, grid, everything, activation
+):
+    config = LITTLE.replace(
+        temporal_pressure={"activation": activation, "hidden": (3, 2)},
+        full_batch={"pressure_weight_decay": 0.0},
+    )
+    inputs = TemporalPressureInputs(small_cases.flow, small_cases.area, small_cases.area_undeformed)
+    target = small_cases.pressure / config.physics.reference_pressure
+    start = initial_parameters(config, 20, 21, 0).temporal_pressure
+    losses = []
+    vector = fit_temporal_pressure(
+        start, inputs, target, everything, engine, config, lambda _, loss: losses.append(loss)
+    ).parameters
+    stage = engine.temporal_pressure
+    loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
+    first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
+    assert loss < 0.1 * first
+    assert all(later <= earlier for earlier, later in pairwise(losses))
+    assert losses[-1] == pytest.approx(loss, rel=0.05)  # but for the ridge
+    last = 3 * small_cases.n_points
+    assert np.abs(gradient[-last:]).max() < 1e-4 * np.abs(before[-last:]).max()
