@@ -293,7 +293,7 @@ def test_pcnde_figures_with_workers(run_pcnde, files, without_pictures, monkeypa
         return ThreadPoolExecutor(workers)
 
     monkeypatch.setattr(
-        "pcnde_bridge._utils.parallel.processes", lambda workers: partial(pool, workers)
+        "pcnde_bridge.cli.predict.processes", lambda workers: partial(pool, workers)
     )
     noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
     assert run_pcnde(*noise, "--out", files / "one")[0] == 0
