@@ -8,46 +8,30 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import fields
+from typing import Any, ClassVar
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import (
-    check_finite,
-    check_increasing,
-    check_shape,
-    positive,
-)
+from pcnde_bridge._utils.validation import check_finite, check_increasing, check_shape, positive
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid, check_resolution
-from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters
-from pcnde_bridge.engines.parameters import STAGES, Parameters
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
-from pcnde_bridge.training.history import Iteration, OnIteration
+from pcnde_bridge.training.history import OnIteration
 from pcnde_bridge.training.procedure import Procedure
-from pcnde_bridge.training.staged_training import StagedTraining
-from pcnde_bridge.training.state import ClosureState, TrainingState
 from pcnde_bridge.training.trainer import Trainer, staged_training
 from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
 
 Config = PCNDEConfig | ClosureConfig
 AnyParameters = Parameters | ClosureParameters
-
-
-class Trained(NamedTuple):
-    """Result of a training run; ``facts`` belong to the model's provenance."""
-
-    config: Config
-    parameters: AnyParameters
-    uncertainty: Uncertainty | None
-    history: tuple[Iteration, ...]
-    facts: dict[str, Any]
 
 
 class Kind(ABC):
@@ -61,20 +45,22 @@ class Kind(ABC):
 
     any_grid: ClassVar[bool]
     _parameters: ClassVar[type[AnyParameters]]
-    _names: ClassVar[tuple[str, ...]]
 
     def train(
         self,
         cases: Cases,
-        config: Any,
+        config: Config,
         engine: Engine,
         seed: int,
         checkpoint: str | os.PathLike[str] | None,
         progress: bool | OnIteration,
-    ) -> Trained:
-        """Train from the start or from the checkpoint; see :meth:`pcnde_bridge.PCNDE.fit`."""
+    ) -> tuple[Config, Any]:
+        """Train, see :meth:`pcnde_bridge.PCNDE.fit`; return the final settings and state."""
         procedure = self._procedure(cases, config, engine)
-        return self._result(procedure, Trainer(procedure, checkpoint).fit(seed, progress))
+        return procedure.config, Trainer(procedure, checkpoint).fit(seed, progress)
+
+    @abstractmethod
+    def _procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]: ...
 
     @abstractmethod
     def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
@@ -104,17 +90,11 @@ class Kind(ABC):
         """
 
     def read_parameters(self, arrays: Mapping[str, Array]) -> AnyParameters:
-        """Take the parameters from the arrays of a model file.
-
-        Raises
-        ------
-        KeyError
-            If a vector is missing.
-        """
-        return self._parameters(**{name: arrays[name] for name in self._names})
+        """Take the parameters from the arrays of a model file; raise KeyError if one is missing."""
+        return self._parameters(**{f.name: arrays[f.name] for f in fields(self._parameters)})
 
     def check(
-        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None = None
+        self, config: Config, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
     ) -> None:
         """Raise if the parts of a model do not fit together.
 
@@ -135,12 +115,6 @@ class Kind(ABC):
         self._check_vectors(config, parameters, grid, uncertainty)
 
     @abstractmethod
-    def _procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]: ...
-
-    @abstractmethod
-    def _result(self, procedure: Any, state: Any) -> Trained: ...
-
-    @abstractmethod
     def _check_vectors(
         self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
     ) -> None: ...
@@ -148,19 +122,12 @@ class Kind(ABC):
 
 class _Staged(Kind):
     any_grid = False
-    _parameters, _names = Parameters, STAGES
+    _parameters = Parameters
 
-    def _procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> StagedTraining:
+    def _procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> Procedure[Any]:
         return staged_training(cases, config, engine)
 
-    def _result(self, procedure: StagedTraining, state: TrainingState) -> Trained:
-        batches = [[int(i) for i in batch] for batch in state.batches]
-        facts = {"seconds": state.seconds, "batches": batches}
-        return Trained(procedure.config, state.parameters, None, state.history, facts)
-
-    def predict(
-        self, engine: Engine, config: PCNDEConfig, parameters: Parameters, inputs: Inputs
-    ) -> Solution:
+    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
         arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
         return engine.predict(parameters, *arrays, config)
 
@@ -170,30 +137,18 @@ class _Staged(Kind):
     def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
         check_grid(trained, other, where)
 
-    def _check_vectors(
-        self,
-        config: PCNDEConfig,
-        parameters: Parameters,
-        grid: Grid,
-        uncertainty: Uncertainty | None,
-    ) -> None:
+    def _check_vectors(self, config: Any, parameters: Parameters, grid: Grid, _: Any) -> None:
         parameters.check(config, grid.time.size, grid.z.size)
 
 
 class _Closures(Kind):
     any_grid = True
-    _parameters, _names = ClosureParameters, CLOSURES
+    _parameters = ClosureParameters
 
-    def _procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> ClosureTraining:
+    def _procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> Procedure[Any]:
         return ClosureTraining(cases, config, engine)
 
-    def _result(self, procedure: ClosureTraining, state: ClosureState) -> Trained:
-        facts = {"seconds": state.seconds}
-        return Trained(procedure.config, state.parameters, state.uncertainty, state.history, facts)
-
-    def predict(
-        self, engine: Engine, config: ClosureConfig, parameters: ClosureParameters, inputs: Inputs
-    ) -> Solution:
+    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
         arrays = np.zeros(len(inputs)), inputs.inflow, inputs.area_undeformed, inputs.grid
         return engine.closures.predict(parameters, *arrays, config)
 
@@ -207,8 +162,8 @@ class _Closures(Kind):
         mean: Solution,
     ) -> dict[str, Array]:
         assert inputs.random is not None
-        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
         model = engine.closures, parameters, uncertainty
+        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
         return sample(*model, mean, *arrays, config, inputs.random)
 
     def has_pressure(self, parameters: ClosureParameters) -> bool:
@@ -218,11 +173,7 @@ class _Closures(Kind):
         check_resolution(other.time.size, other.z.size)
 
     def _check_vectors(
-        self,
-        config: ClosureConfig,
-        parameters: ClosureParameters,
-        grid: Grid,
-        uncertainty: Uncertainty | None,
+        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
     ) -> None:
         parameters.check(config)
         if uncertainty is not None:

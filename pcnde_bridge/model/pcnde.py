@@ -147,15 +147,16 @@ class PCNDE(Predictor):
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        trained = kind_of(settings).train(cases, settings, engine, seed, checkpoint, progress)
+        run = cases, settings, engine, seed, checkpoint, progress
+        settings, state = kind_of(settings).train(*run)
         return cls(
-            trained.config,
-            trained.parameters,
+            settings,
+            state.parameters,
             cases.grid,
             engine,
-            {**current_provenance(cases, engine, seed), **trained.facts},
-            trained.history,
-            trained.uncertainty,
+            {**current_provenance(cases, engine, seed), **state.facts},
+            state.history,
+            state.uncertainty,
             Novelty.fit(cases.inflow, cases.area_undeformed, cases.z),
         )
 

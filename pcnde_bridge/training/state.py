@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,16 +27,24 @@ class RunState:
         Number of finished training steps.
     history : tuple of Iteration
         All iterations of the finished steps.
+    uncertainty : Uncertainty or None
+        Result of the calibration after the last step, of the ``physics`` preset.
     """
 
     seed: int
     finished: int = 0
     history: tuple[Iteration, ...] = field(default=(), repr=False)
+    uncertainty: Uncertainty | None = None
 
     @property
     def seconds(self) -> float:
         """Time spent in the finished steps."""
         return self.history[-1].seconds if self.history else 0.0
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts for the provenance of the model."""
+        return {"seconds": self.seconds}
 
 
 State = TypeVar("State", bound=RunState)
@@ -61,6 +69,11 @@ class TrainingState(RunState):
     parameters: Parameters
     couplings: tuple[Parameters, ...] = ()
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts for the provenance of the model, with the positions of the cases in batches."""
+        return {**super().facts, "batches": [[int(i) for i in batch] for batch in self.batches]}
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureState(RunState):
@@ -70,12 +83,9 @@ class ClosureState(RunState):
     ----------
     vectors : dict of arrays
         Closures fitted so far, by name, then the ensemble's ``member_0``, ``member_1``, ….
-    uncertainty : Uncertainty or None
-        Result of the calibration after the last step.
     """
 
     vectors: dict[str, Array]
-    uncertainty: Uncertainty | None = None
 
     @property
     def parameters(self) -> ClosureParameters:
