@@ -62,6 +62,11 @@ class ClosureParameters(ParameterVectors):
     wall: Array
     correction: Array
 
+    @property
+    def has_pressure(self) -> bool:
+        """Whether the model predicts the pressure: always."""
+        return True
+
     def check(self, config: ClosureConfig) -> None:
         """Raise if a vector's length does not fit the configuration.
 

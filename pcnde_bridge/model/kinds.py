@@ -22,7 +22,6 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import Solution
-from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.history import OnIteration
@@ -63,24 +62,23 @@ class Kind(ABC):
     def _procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]: ...
 
     @abstractmethod
-    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
-        """Predict flow, area and pressure, each of shape (case, time, z)."""
-
-    def sample(
+    def predict(
         self,
         engine: Engine,
         config: Any,
         parameters: Any,
         inputs: Inputs,
-        uncertainty: Uncertainty,
-        mean: Solution,
-    ) -> dict[str, Array]:
-        """Return samples of the variables, each of shape (sample, case, time, z)."""
-        raise InputError("A model of the paper's networks has no uncertainty.")
+        uncertainty: Uncertainty | None = None,
+    ) -> tuple[Solution, dict[str, Array] | None]:
+        """Predict flow, area and pressure.
 
-    @abstractmethod
-    def has_pressure(self, parameters: Any) -> bool:
-        """Return whether these parameters predict the pressure."""
+        Returns
+        -------
+        Solution
+            Arrays of shape (case, time, z).
+        dict of arrays of shape (sample, case, time, z), or None
+            Samples by variable, if the inputs have random numbers.
+        """
 
     @abstractmethod
     def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
@@ -127,12 +125,11 @@ class _Staged(Kind):
     def _procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> Procedure[Any]:
         return staged_training(cases, config, engine)
 
-    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
+    def predict(
+        self, engine: Engine, config: Any, parameters: Any, inputs: Inputs, *_: Any
+    ) -> tuple[Solution, None]:
         arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
-        return engine.predict(parameters, *arrays, config)
-
-    def has_pressure(self, parameters: Parameters) -> bool:
-        return parameters.has_pressure
+        return engine.predict(parameters, *arrays, config), None
 
     def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
         check_grid(trained, other, where)
@@ -148,26 +145,20 @@ class _Closures(Kind):
     def _procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> Procedure[Any]:
         return ClosureTraining(cases, config, engine)
 
-    def predict(self, engine: Engine, config: Any, parameters: Any, inputs: Inputs) -> Solution:
-        arrays = np.zeros(len(inputs)), inputs.inflow, inputs.area_undeformed, inputs.grid
-        return engine.closures.predict(parameters, *arrays, config)
-
-    def sample(
+    def predict(
         self,
         engine: Engine,
-        config: ClosureConfig,
-        parameters: ClosureParameters,
+        config: Any,
+        parameters: Any,
         inputs: Inputs,
-        uncertainty: Uncertainty,
-        mean: Solution,
-    ) -> dict[str, Array]:
-        assert inputs.random is not None
-        model = engine.closures, parameters, uncertainty
-        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
-        return sample(*model, mean, *arrays, config, inputs.random)
-
-    def has_pressure(self, parameters: ClosureParameters) -> bool:
-        return True
+        uncertainty: Uncertainty | None = None,
+    ) -> tuple[Solution, dict[str, Array] | None]:
+        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid, config
+        mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *arrays)
+        if uncertainty is None or inputs.random is None:
+            return mean, None
+        model = engine.closures, parameters, uncertainty, mean
+        return mean, sample(*model, *arrays, inputs.random)
 
     def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
         check_resolution(other.time.size, other.z.size)
@@ -190,4 +181,4 @@ def kind_of(config: Config) -> Kind:
 
 def solve(engine: Engine, config: Config, parameters: AnyParameters, inputs: Inputs) -> Solution:
     """Predict flow, area and pressure with a model of either kind."""
-    return kind_of(config).predict(engine, config, parameters, inputs)
+    return kind_of(config).predict(engine, config, parameters, inputs)[0]

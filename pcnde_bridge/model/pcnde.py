@@ -202,7 +202,7 @@ class PCNDE(Predictor):
     @property
     def has_pressure(self) -> bool:
         """Whether the model predicts the pressure."""
-        return self._kind.has_pressure(self.parameters)
+        return self.parameters.has_pressure
 
     def predict(
         self,
@@ -311,10 +311,7 @@ class PCNDE(Predictor):
 
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters
-        solution = self._kind.predict(*model, inputs)
-        samples = None
-        if inputs.random is not None and self.uncertainty is not None:
-            samples = self._kind.sample(*model, inputs, self.uncertainty, solution)
+        solution, samples = self._kind.predict(*model, inputs, self.uncertainty)
         grid = inputs.grid
         return Prediction(
             *solution,
