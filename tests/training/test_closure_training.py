@@ -591,7 +591,7 @@ def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_
     model = PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
     inputs = small_cases.inflow, small_cases.area_undeformed
     for options in ({"z": small_cases.z}, {"period": 1.0}):
-        with pytest.raises(InputError, match="A model of the physics preset takes others"):
+        with pytest.raises(InputError, match="A model of the preset physics accepts others"):
             model.predict(*inputs, **options)
     with pytest.raises(InputError, match="preset 'physics'"):
         model.predict(*inputs, samples=2)
