@@ -65,41 +65,71 @@ def minimize(
             f"The loss is not finite at the first parameters of the fit (loss {first}): the "
             "equation diverges there. Check the data's units, or start from another seed."
         )
-    decay = settings.weight_decay
-    ceiling = _DIVERGED * (first / unit + decay * float(start @ start))
-    losses, last, validated = [first], start, 0
-    best, best_error, best_number = start, math.inf, 0
-    message = ""
+    run = _Run(objective, start, settings, iterations, unit, validate, on_iteration, first)
+    lbfgs(run.evaluate, start, settings.memory, iterations, run.accept)
+    return run.result()
 
-    def total(x: Array) -> tuple[float, Array]:
-        loss, gradient = objective(x)
+
+class _Run:
+    """State of one minimization: the last iterate, and the best one by the validation error."""
+
+    def __init__(
+        self,
+        objective: Objective,
+        start: Array,
+        settings: FullBatch,
+        iterations: int,
+        unit: float,
+        validate: Callable[[Array], float] | None,
+        on_iteration: OnIteration | None,
+        first: float,
+    ) -> None:
+        self._objective, self._settings, self._unit = objective, settings, unit
+        self._iterations, self._validate = iterations, validate
+        self._on_iteration = on_iteration
+        decay = settings.weight_decay * float(start @ start)
+        self._ceiling = _DIVERGED * (first / unit + decay)
+        self._losses, self._last = [first], start
+        self._best, self._best_error, self._best_number = start, math.inf, 0
+        self._validated = 0  # number of the last validated iterate
+        self._message = ""
+
+    def evaluate(self, x: Array) -> tuple[float, Array]:
+        """Return the function to minimize, always finite, and its gradient."""
+        loss, gradient = self._objective(x)
         if not (math.isfinite(loss) and np.isfinite(gradient).all()):
             # A wall that rises from the last iterate on.
-            way = x - last
-            return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
-        return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
+            way = x - self._last
+            return self._ceiling, way * (2 * self._ceiling / max(float(way @ way), _TINY))
+        decay = self._settings.weight_decay
+        return loss / self._unit + decay * float(x @ x), gradient / self._unit + 2 * decay * x
 
-    def accept(x: Array, value: float) -> None:
-        nonlocal last, validated, best, best_error, best_number, message
-        number, last = len(losses), x
-        losses.append((value - decay * float(x @ x)) * unit)
-        if on_iteration is not None:
-            on_iteration(number, losses[-1])
-        if validate is None:
-            best = x
-        elif number % settings.check_every == 0 or number == iterations:
-            error, validated = validate(x), number
-            if error < best_error:
-                best, best_error, best_number = x, error, number
-            elif number - best_number >= settings.patience:
-                message = "validation error falls no more"
+    def accept(self, x: Array, value: float) -> None:
+        """Take an iterate; raise StopIteration once the validation error falls no more."""
+        number, self._last = len(self._losses), x
+        loss = (value - self._settings.weight_decay * float(x @ x)) * self._unit
+        self._losses.append(loss)
+        if self._on_iteration is not None:
+            self._on_iteration(number, loss)
+        if self._validate is None:
+            self._best = x
+        elif number % self._settings.check_every == 0 or number == self._iterations:
+            error, self._validated = self._validate(x), number
+            if error < self._best_error:
+                self._best, self._best_error, self._best_number = x, error, number
+            elif number - self._best_number >= self._settings.patience:
+                self._message = "validation error falls no more"
                 raise StopIteration
 
-    lbfgs(total, start, settings.memory, iterations, accept)
-    number = len(losses) - 1
-    # L-BFGS may have converged between two validations.
-    if validate is not None and validated < number and validate(last) < best_error:
-        best = last
-    if not message and number >= iterations:
-        message = "all iterations done"
-    return Fit(best, np.array(losses), not message, message or "loss falls no more")
+    def result(self) -> Fit:
+        """Return the best iterate, and why the minimization ended."""
+        number = len(self._losses) - 1
+        # L-BFGS may have converged between two validations.
+        validate = self._validate if self._validated < number else None
+        if validate is not None and validate(self._last) < self._best_error:
+            self._best = self._last
+        if not self._message and number >= self._iterations:
+            self._message = "all iterations done"
+        converged = not self._message
+        message = self._message or "loss falls no more"
+        return Fit(self._best, np.array(self._losses), converged, message)
