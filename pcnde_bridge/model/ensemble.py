@@ -117,10 +117,9 @@ class Ensemble(Predictor):
         members : int
             Number of members, at least 2.
         folds : int
-            Number of folds of the geometries, and of the waveforms; two fits leave out
-            each fold.
+            Number of folds of the geometries and of the waveforms; two fits omit each.
         executor, retries, folder, progress
-            See :func:`pcnde_bridge._utils.parallel.run`: the fits are independent.
+            See :func:`pcnde_bridge._utils.parallel.run`.
 
         Returns
         -------
@@ -150,30 +149,23 @@ class Ensemble(Predictor):
             raise InputError(
                 f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."
             )
+        study = common_facts("ensemble", cases, settings, engine)
         outcome = run(
             fit_model,
             _tasks(cases, left_out, settings, engine, seed, members),
             executor=executor,
             retries=retries,
             folder=folder,
-            facts={
-                **common_facts("ensemble", cases, settings, engine),
-                "seed": seed,
-                "folds": folds,
-            },
+            facts={**study, "seed": seed, "folds": folds},
             progress=progress,
         )
         fitted, calibration, seconds = _results(outcome, cases, left_out, engine)
         if outcome.failures:
-            complaint = f"{outcome.complaint()} The ensemble is without them."
-            warnings.warn(complaint, PCNDEWarning, stacklevel=2)
-        facts = {
-            **current_provenance(cases, fitted[0].engine, seed),
-            "members": len(fitted),
-            "folds": folds,
-            "failures": outcome.failures,
-            "seconds": seconds,
-        }
+            message = f"{outcome.complaint()} The ensemble is without them."
+            warnings.warn(message, PCNDEWarning, stacklevel=2)
+        facts = current_provenance(cases, fitted[0].engine, seed)
+        facts |= {"members": len(fitted), "folds": folds}
+        facts |= {"failures": outcome.failures, "seconds": seconds}
         return cls(fitted, calibration, facts)
 
     @property
@@ -369,7 +361,7 @@ def _results(
         if all(name in models for name in _fold_names(number))
     ]
     if len(fitted) < 2 or not folds:
-        raise TaskError(f"{outcome.complaint()} The rest make no ensemble.")
+        raise TaskError(f"{outcome.complaint()} The rest are too few for an ensemble.")
     seconds = sum(float(model.provenance["seconds"]) for model in models.values())
     return fitted, _calibrate(folds), seconds
 

@@ -109,7 +109,7 @@ class PCNDE(Predictor):
         checkpoint : path-like, optional
             File that stores the state of training after every epoch and after Ctrl-C.
             If it exists, training resumes from it, with the same result, bit for
-            bit, as without the interruption.  The state before is kept beside it
+            bit, as without the interruption.  The state before is stored beside it
             (``.previous``) in case the file is damaged.
         progress : bool or callable
             Whether to show progress; or a function that is called with every
