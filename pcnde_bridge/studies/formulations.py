@@ -247,17 +247,9 @@ class _FormulationTraining(Procedure[_FormulationState]):
 
     def fit(self, step: Step, state: _FormulationState, recorder: Recorder) -> _FormulationState:
         """Return the state with the network fitted to a batch."""
-        optimize = partial(
-            minibatch.fit_batch,
-            self._stage,
-            state.parameters,
-            self._inputs(self.cases),
-            self.cases.flow,
-            state.batches[step.batch - 1],
-            self.cases.grid,
-            self.config,
-            self._settings.iterations,
-        )
+        data = self._inputs(self.cases), self.cases.flow, state.batches[step.batch - 1]
+        settings = self.cases.grid, self.config, self._settings.iterations
+        optimize = partial(minibatch.fit_batch, self._stage, state.parameters, *data, *settings)
         return replace(state, parameters=recorder.run(*step, optimize))
 
     def train(self, state: _FormulationState, session: Session) -> tuple[_FormulationState, str]:

@@ -121,15 +121,9 @@ class ClosureTraining(Procedure[ClosureState]):
         if not self._left_out:
             return state
         members = [state.vectors[f"member_{k}"] for k in range(len(self._left_out))]
-        uncertainty = calibrate(
-            self.engine.closures,
-            state.parameters,
-            members,
-            self._left_out,
-            self.cases,
-            self.config,
-            np.random.default_rng([state.seed, 1]),
-        )
+        rng = np.random.default_rng([state.seed, 1])
+        fitted = self.engine.closures, state.parameters, members, self._left_out
+        uncertainty = calibrate(*fitted, self.cases, self.config, rng)
         return replace(state, uncertainty=uncertainty)
 
     def count_numbers(self, _: ClosureState) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -186,50 +186,46 @@ def _whitening(cases: Cases, area: Array, fitted: Positions, config: PCNDEConfig
     return Whitening(samples, config.flow.hidden[0], config.full_batch.whitening)
 
 
+@dataclass
 class _Equation:
     """Fit of the flow network through the momentum equation, in whitened coordinates."""
 
-    def __init__(
-        self,
-        cases: Cases,
-        area: Array,
-        target: Array,
-        weight: Array,
-        selection: tuple[Positions, ...],
-        whitening: Whitening,
-        engine: Engine,
-        config: PCNDEConfig,
-    ) -> None:
-        self._target, self._weight, self._selection = target, weight, selection
-        self._whitening, self._engine, self._config = whitening, engine, config
-        self._inputs, self._grid = FlowInputs(cases.inflow, area), cases.grid
-        fitted = selection[0]
-        counted = np.zeros(len(cases))
-        counted[fitted] = weight[fitted]
-        self._evaluate = engine.flow.objective(self._inputs, target, counted, self._grid, config)
-        self._unit = float(np.mean(target[fitted] ** 2))
-        if config.flow.loss == "sum":
-            self._unit *= target[fitted].size
-        self._validate = self._validation_error if len(selection) > 1 else None
+    cases: Cases
+    area: Array
+    target: Array
+    weight: Array
+    selection: tuple[Positions, ...]
+    whitening: Whitening
+    engine: Engine
+    config: PCNDEConfig
+
+    def __post_init__(self) -> None:
+        self._inputs, self._grid = FlowInputs(self.cases.inflow, self.area), self.cases.grid
+        fitted = self.selection[0]
+        counted = np.zeros(len(self.cases))
+        counted[fitted] = self.weight[fitted]
+        data = self._inputs, self.target, counted, self._grid, self.config
+        self._evaluate = self.engine.flow.objective(*data)
+        self._unit = float(np.mean(self.target[fitted] ** 2))
+        if self.config.flow.loss == "sum":
+            self._unit *= self.target[fitted].size
+        self._validate = self._validation_error if len(self.selection) > 1 else None
 
     def _objective(self, coordinates: Array) -> tuple[float, Array]:
-        loss, gradient = self._evaluate(self._whitening.parameters(coordinates))
-        return loss, self._whitening.gradient(gradient)
+        loss, gradient = self._evaluate(self.whitening.parameters(coordinates))
+        return loss, self.whitening.gradient(gradient)
 
     def _validation_error(self, coordinates: Array) -> float:
-        parameters, cases = self._whitening.parameters(coordinates), self._selection[1]
-        flow = self._engine.flow.solve(parameters, self._inputs, self._grid, self._config)
-        square = np.mean((flow[cases] - self._target[cases]) ** 2, axis=(1, 2))
-        return float(np.mean(self._weight[cases] * square))
+        parameters, cases = self.whitening.parameters(coordinates), self.selection[1]
+        flow = self.engine.flow.solve(parameters, self._inputs, self._grid, self.config)
+        square = np.mean((flow[cases] - self.target[cases]) ** 2, axis=(1, 2))
+        return float(np.mean(self.weight[cases] * square))
 
     def _error(self, vector: Array) -> float:
-        coordinates = self._whitening.coordinates(vector)
+        coordinates = self.whitening.coordinates(vector)
         try:
-            error = (
-                self._objective(coordinates)[0]
-                if self._validate is None
-                else self._validate(coordinates)
-            )
+            validate = self._validate or (lambda x: self._objective(x)[0])
+            error = validate(coordinates)
         except SolveError:
             return np.inf
         return np.inf if np.isnan(error) else error
@@ -242,12 +238,12 @@ class _Equation:
         """Fit by L-BFGS from given parameters."""
         found = minimize(
             self._objective,
-            self._whitening.coordinates(start),
-            self._config.full_batch,
+            self.whitening.coordinates(start),
+            self.config.full_batch,
             iterations,
             self._unit,
             self._validate,
             on_iteration,
-            lbfgs=self._engine.lbfgs,
+            lbfgs=self.engine.lbfgs,
         )
-        return replace(found, parameters=self._whitening.parameters(found.parameters))
+        return replace(found, parameters=self.whitening.parameters(found.parameters))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,54 +71,51 @@ def minimize(
     return run.result()
 
 
+@dataclass
 class _Run:
     """State of one minimization: the last iterate, and the best one by the validation error."""
 
-    def __init__(
-        self,
-        objective: Objective,
-        start: Array,
-        settings: FullBatch,
-        iterations: int,
-        unit: float,
-        validate: Callable[[Array], float] | None,
-        on_iteration: OnIteration | None,
-        first: float,
-    ) -> None:
-        self._objective, self._settings, self._unit = objective, settings, unit
-        self._iterations, self._validate = iterations, validate
-        self._on_iteration = on_iteration
-        decay = settings.weight_decay * float(start @ start)
-        self._ceiling = _DIVERGED * (first / unit + decay)
-        self._losses, self._last = [first], start
-        self._best, self._best_error, self._best_number = start, math.inf, 0
+    objective: Objective
+    start: Array
+    settings: FullBatch
+    iterations: int
+    unit: float
+    validate: Callable[[Array], float] | None
+    on_iteration: OnIteration | None
+    first: float
+
+    def __post_init__(self) -> None:
+        decay = self.settings.weight_decay * float(self.start @ self.start)
+        self._ceiling = _DIVERGED * (self.first / self.unit + decay)
+        self._losses, self._last = [self.first], self.start
+        self._best, self._best_error, self._best_number = self.start, math.inf, 0
         self._validated = 0  # number of the last validated iterate
         self._message = ""
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """Return the function to minimize, always finite, and its gradient."""
-        loss, gradient = self._objective(x)
+        loss, gradient = self.objective(x)
         if not (math.isfinite(loss) and np.isfinite(gradient).all()):
             # A wall that rises from the last iterate on.
             way = x - self._last
             return self._ceiling, way * (2 * self._ceiling / max(float(way @ way), _TINY))
-        decay = self._settings.weight_decay
-        return loss / self._unit + decay * float(x @ x), gradient / self._unit + 2 * decay * x
+        decay = self.settings.weight_decay
+        return loss / self.unit + decay * float(x @ x), gradient / self.unit + 2 * decay * x
 
     def accept(self, x: Array, value: float) -> None:
         """Take an iterate; raise StopIteration once the validation error falls no more."""
         number, self._last = len(self._losses), x
-        loss = (value - self._settings.weight_decay * float(x @ x)) * self._unit
+        loss = (value - self.settings.weight_decay * float(x @ x)) * self.unit
         self._losses.append(loss)
-        if self._on_iteration is not None:
-            self._on_iteration(number, loss)
-        if self._validate is None:
+        if self.on_iteration is not None:
+            self.on_iteration(number, loss)
+        if self.validate is None:
             self._best = x
-        elif number % self._settings.check_every == 0 or number == self._iterations:
-            error, self._validated = self._validate(x), number
+        elif number % self.settings.check_every == 0 or number == self.iterations:
+            error, self._validated = self.validate(x), number
             if error < self._best_error:
                 self._best, self._best_error, self._best_number = x, error, number
-            elif number - self._best_number >= self._settings.patience:
+            elif number - self._best_number >= self.settings.patience:
                 self._message = "validation error falls no more"
                 raise StopIteration
 
@@ -125,10 +123,10 @@ class _Run:
         """Return the best iterate, and why the minimization ended."""
         number = len(self._losses) - 1
         # L-BFGS may have converged between two validations.
-        validate = self._validate if self._validated < number else None
+        validate = self.validate if self._validated < number else None
         if validate is not None and validate(self._last) < self._best_error:
             self._best = self._last
-        if not self._message and number >= self._iterations:
+        if not self._message and number >= self.iterations:
             self._message = "all iterations done"
         converged = not self._message
         message = self._message or "loss falls no more"

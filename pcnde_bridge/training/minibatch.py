@@ -54,21 +54,12 @@ def fit(wanted: StageFit) -> Array:
         batches = [batches[step.batch - 1]]
     elif step.task != "coupling":
         batches = [(1, slice(None))]
-    vector = wanted.start
+    vector, iterations = wanted.start, getattr(config, stage).iterations
     for number, batch in batches:
         if stage == "fourier_area" and config.fourier_area.restart:
             vector = np.repeat([1.0, 0.0], wanted.cases.n_points)
-        optimize = partial(
-            fit_batch,
-            getattr(wanted.engine, stage),
-            vector,
-            wanted.inputs,
-            wanted.target,
-            batch,
-            wanted.cases.grid,
-            config,
-            getattr(config, stage).iterations,
-        )
+        data = wanted.inputs, wanted.target, batch, wanted.cases.grid, config
+        optimize = partial(fit_batch, getattr(wanted.engine, stage), vector, *data, iterations)
         vector = wanted.recorder.run(stage, step.epoch, number, optimize)
     return vector
 
