@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ToyEngine, skip_without_julia
+from helpers import ToyEngine, fit_physics, made_by_the_closures, skip_without_julia
 from hypothesis import settings
 
 from pcnde_bridge.cli import main as cli
@@ -17,6 +17,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError
 from pcnde_bridge.io.datasets import find_published, load_cases
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
 
 # The same examples each time in the suite; HYPOTHESIS_PROFILE=long tries others, and many.
 settings.register_profile("suite", max_examples=25, derandomize=True, deadline=None)
@@ -146,6 +147,30 @@ def toy_engine() -> ToyEngine:
 def toy_config(small_config) -> PCNDEConfig:
     """As ``small_config``, with batches of 5, so that the last of 12 cases has 2."""
     return small_config.replace(batch_size=5)
+
+
+@pytest.fixture(scope="session")
+def physics_cases() -> Cases:
+    """4 geometries × 4 waveforms, computed by the closures themselves."""
+    return made_by_the_closures()
+
+
+@pytest.fixture(scope="session")
+def physics_records() -> list:
+    """Iterations of the fit of ``physics_model``."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def physics_model(physics_cases, physics_records) -> PCNDE:
+    """Small model of the preset ``physics``."""
+    return fit_physics(physics_cases, progress=physics_records.append)
+
+
+@pytest.fixture(scope="session")
+def physics_prediction(physics_model, physics_cases) -> Prediction:
+    """Prediction of the training cases with samples."""
+    return physics_model.predict(physics_cases, samples=12, seed=3)
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from pcnde_bridge.engines.julia.environment import JuliaStatus, julia_status
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.engines.types import Fit
+from pcnde_bridge.model.pcnde import PCNDE
 
 
 @functools.cache
@@ -255,3 +256,21 @@ LITTLE = FAST.replace(
         "check_every": 2,
     },
 )
+
+
+PHYSICS_SETTINGS = {"hidden": (4,), "folds": 2, "evaluations": 15}
+PHYSICS_CONFIG = PHYSICS.replace(correction=PHYSICS_SETTINGS)
+
+
+def fit_physics(cases, config=PHYSICS_CONFIG, seed=0, engine="jax", **options):
+    return PCNDE.fit(cases, config, engine, seed, **{"progress": False, **options})
+
+
+def same_numbers(a, b):
+    """Return whether two models have the same bits, apart from times and versions."""
+    parts_of = [
+        [*dict(m.parameters).values(), *dict(m.uncertainty).values(), *dict(m.novelty).values()]
+        for m in (a, b)
+    ]
+    same_history = a.history.drop(columns="seconds").equals(b.history.drop(columns="seconds"))
+    return same_history and all(map(np.array_equal, *parts_of))
