@@ -95,7 +95,7 @@ _ROOMS = (
 
 
 def __getattr__(name: str) -> ModuleType:
-    """Import a room on first use, so that ``import pcnde_bridge`` stays light."""
+    """Import a subpackage on first use, so that ``import pcnde_bridge`` is fast."""
     if name in _ROOMS:
         return import_module(f"pcnde_bridge.{name}")
     raise AttributeError(f"module 'pcnde_bridge' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Helpers that know nothing about blood flow: files, validation, parallel tasks, progress.
+"""Helpers that do not depend on blood flow: files, validation, parallel tasks, progress.
 
-Every other room may use them; they depend only on :mod:`pcnde_bridge.errors`.
+Every other subpackage may use them; they depend only on :mod:`pcnde_bridge.errors`.
 """

@@ -38,12 +38,12 @@ def read_dataset(group: Any, name: str) -> AnyArray | None:
         if not isinstance(at, h5py.Group):
             return None
         if isinstance(at.get(part, getlink=True), h5py.ExternalLink):
-            raise ValueError(f"{name} lies in another file, which is not followed")
+            raise ValueError(f"{name} is stored in another file; external links are not followed")
         at = at.get(part)
     if not isinstance(at, h5py.Dataset):
         return None
     if at.external or at.is_virtual:
-        raise ValueError(f"{name} lies in another file, which is not followed")
+        raise ValueError(f"{name} is stored in another file; external links are not followed")
     check_claim(at.nbytes, Path(group.file.filename).stat().st_size)
     if h5py.check_string_dtype(at.dtype) is not None:
         return np.asarray(at.asstr("utf-8")[()], dtype=np.str_)

@@ -374,7 +374,7 @@ class _PoolRun:
         return lost
 
     def _blame(self, lost: Mapping[str, BaseException]) -> _Finished:
-        """Yield the task that broke the pool alone once too often; suspect lost tasks otherwise."""
+        """Yield a lost task that ran alone and has no retries left; else mark all as suspects."""
         if len(lost) == 1:
             ((name, error),) = lost.items()
             if self._retries.are_used_up(name, error):
@@ -383,7 +383,7 @@ class _PoolRun:
         self._suspects.extend(lost)
 
     def _close(self, complete: bool) -> None:
-        """Cancel what still runs; a pool that was created here is shut down."""
+        """Cancel running tasks; a pool that was created here is shut down."""
         for future in self._running:
             future.cancel()
         if self._create is None:

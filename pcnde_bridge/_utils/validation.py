@@ -188,7 +188,7 @@ def check_shape(name: str, array: AnyArray, shape: tuple[int, ...], axes: str = 
 
 
 def _axes_hint(name: str, found: tuple[int, ...], shape: tuple[int, ...], axes: list[str]) -> str:
-    """Return what to do about a shape that lacks the cases or has its axes in another order."""
+    """Return a hint for a shape that lacks the cases or has its axes in another order."""
     if len(found) == len(shape) - 1 and axes[0] == "case":
         return f"; for a single case pass {name}[np.newaxis]"
     for order in permutations(range(len(shape))):

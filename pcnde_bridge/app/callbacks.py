@@ -1,4 +1,4 @@
-"""Reactions of the page.
+"""Callbacks of the page.
 
 One callback draws with the results that are available at once: the prediction, and whatever
 has been computed before for the same inputs.  When the controls have settled, two others

@@ -64,7 +64,7 @@ def fit(
     checkpoint: CheckpointOption = None,
     members: Annotated[
         int,
-        option("--members", min=1, help="More than 1: an ensemble with uncertainty (many fits)."),
+        option("--members", min=1, help="Number of models; more than 1 is an ensemble."),
     ] = 1,
     workers: WorkersOption = 1,
 ) -> None:
@@ -75,7 +75,7 @@ def fit(
     if members > 1 and checkpoint is not None:
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
-        raise InputError("A single fit has one process: give --members, or no --workers.")
+        raise InputError("--workers needs --members: a single fit runs in one process.")
     sets = split_of(load_cases(data), split)
     model: PCNDE | Ensemble
     if members > 1:

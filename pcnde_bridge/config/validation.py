@@ -59,9 +59,9 @@ class Section:
             checked = _checked(value, hints[f.name], where)
             object.__setattr__(self, f.name, checked)
             if not f.metadata.get("signed", False) and _smallest(checked) < 0:
-                raise InputError(f"{where} is negative: {value!r}.")
+                raise InputError(f"{where} must not be negative, got {value!r}.")
             if f.metadata.get("positive", False) and _smallest(checked) <= 0:
-                raise InputError(f"{where} must be positive: {value!r}.")
+                raise InputError(f"{where} must be positive, got {value!r}.")
             if f.metadata.get("nonempty", False) and not checked:
                 raise InputError(f"{where} must not be empty.")
 
@@ -112,7 +112,7 @@ class Settings(Section):
             If a name is unknown or a value is not usable.
         """
         if not isinstance(settings, Mapping):
-            raise InputError(f"A configuration is a mapping of groups, got {settings!r}.")
+            raise InputError(f"A configuration must be a mapping of groups, got {settings!r}.")
         return cls().replace(**current_names(settings))
 
     @classmethod
@@ -170,5 +170,5 @@ def _python_number(value: Any, hint: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise InputError(f"{where} must be finite, got a larger number.") from None
+            raise InputError(f"{where} must be finite, got a number that is too large.") from None
     return int(value) if hint is int and isinstance(value, numbers.Integral) else value

@@ -74,7 +74,7 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
     n_times = len(time)
     step = float(time[-1] - time[0]) / (n_times - 1)
     if step <= 0:
-        raise InputError("time must increase (s); it ends before it starts")
+        raise InputError("time must increase (s), but its last value is not above its first")
     # A ten-thousandth of a step is the tolerance for times stored in single precision.
     off = np.abs(time - (time[0] + step * np.arange(n_times))) > 1e-4 * step
     check_values("time", time, off, f"time must have uniform steps (here {step:g} s)")
@@ -91,7 +91,7 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
             raise InputError(f"{end_repeated}, or pass period= if it does not")
         return cycle
     if isinstance(period, bool) or not isinstance(period, (int, float, np.integer, np.floating)):
-        raise InputError(f"period must be a number of seconds; {period!r} is not")
+        raise InputError(f"period must be a number (s), got {period!r}")
     if abs(cycle - period) <= 1e-6 * abs(period):
         return float(period)
     if abs(cycle - step - period) <= 1e-3 * step:

@@ -32,7 +32,7 @@ def check_labels(
     try:
         given = pd.DataFrame(labels)
     except (ValueError, TypeError) as error:
-        raise InputError(f"labels cannot be made into a DataFrame: {error}") from error
+        raise InputError(f"labels cannot be converted to a DataFrame: {error}") from error
     _check_table(given, n_cases)
     columns: dict[str, AnyArray | list[str]] = {
         name: _whole_numbers(name, given[name]) for name in ("geometry", "waveform")
@@ -49,8 +49,8 @@ def check_labels(
     if not pairs.is_unique:
         again = _second(pairs)
         raise InputError(
-            f"labels names two cases alike: geometry {table['geometry'][again]}, waveform "
-            f"{table['waveform'][again]} is in rows {pairs.tolist().index(pairs[again])} and "
+            f"labels has geometry {table['geometry'][again]}, waveform "
+            f"{table['waveform'][again]} twice, in rows {pairs.tolist().index(pairs[again])} and "
             f"{again}; give each case its own pair"
         )
     return table

@@ -36,7 +36,7 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
     labels : DataFrame
         Labels of the data set.
     index : int, slice, sequence of int, boolean mask, list of pairs, or None
-        Positions, or what stands for them; None if label values are given.
+        Positions, a mask or pairs; None if label values are given.
     wanted : mapping
         Values wanted of label columns.
 
@@ -53,7 +53,7 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
         )
     positions = _with_labels(labels, wanted) if wanted else _from_index(labels, index)
     if len(positions) == 0:
-        raise InputError("the selection is empty: no case matches; loosen it")
+        raise InputError("the selection is empty: no case matches")
     unique, counts = np.unique(positions, return_counts=True)
     if np.any(counts > 1):
         twice = int(unique[np.argmax(counts > 1)])
@@ -62,7 +62,7 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
 
 
 def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
-    """Return the positions that an integer, a slice, a list, a mask or pairs stand for."""
+    """Return the positions for an integer, a slice, a list, a mask or pairs."""
     count = len(labels)
     if isinstance(index, slice):
         try:

@@ -98,7 +98,7 @@ class Solver1D(_WithOutlet):
     Parameters
     ----------
     wall : LinearWall, optional
-        Tube law.  By default the paper's artery, undeformed at the pressure zero of the
+        Tube law.  By default the paper's artery, undeformed at zero pressure, as in the
         data.  ``LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)`` is the law as
         the paper prints it, :data:`FEM_WALL` that of its column "1D FEM".
     stenosis_length : float
@@ -269,7 +269,7 @@ def _fitted(value: _Fitted | None) -> _Fitted:
 def standard_baselines() -> dict[str, Baseline]:
     """Return the baselines of ``pcnde bench`` by name, unfitted and with default settings.
 
-    They are :class:`Unchanged`; :class:`Solver1D` with the pressure zero of the data, with
+    They are :class:`Unchanged`; :class:`Solver1D` undeformed at zero pressure, undeformed at
     the paper's reference pressure of 100 mmHg, and with :data:`FEM_WALL`; and
     :class:`ResponseSurface` of degrees 3 and 3.
     """

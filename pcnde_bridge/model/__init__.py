@@ -1,4 +1,4 @@
-"""The objects that users hold: ``PCNDE``, ``Ensemble`` and ``Prediction``.
+"""User-facing objects: ``PCNDE``, ``Ensemble`` and ``Prediction``.
 
 They combine training, engines and uncertainty, and are saved to files.
 """

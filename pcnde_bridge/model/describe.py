@@ -43,7 +43,7 @@ def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
     dict
         Values that JSON can hold: ``kind``; ``preset``, the nearest, and ``changes`` from it;
         ``config``, all settings; ``provenance``; and, depending on the kind, ``grid``,
-        ``members``, ``uncertainty``, ``finished`` and ``units`` (training steps).  For a data
+        ``members``, ``uncertainty``, ``finished`` and ``steps`` (training steps).  For a data
         set: ``kind``, ``grid``, ``cases``, ``fingerprint`` and ``labels``.
 
     Raises
@@ -73,14 +73,14 @@ def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -
         found["members"] = len(facts["members"])
         found["uncertainty"] = "calibrated spread of the members"
     elif "uncertainty_members" in arrays:
-        found["uncertainty"] = "fits that left out parts of the training cases"
+        found["uncertainty"] = "fits that left out folds of the training cases"
     config = config_from(settings["config"])
     preset, changes = nearest_preset(config)
     found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
     found["provenance"] = dict(facts.get("provenance", {}))
     if kind == "checkpoint":
         vectors = len(facts.get("vectors", ()))
-        found |= {"finished": facts.get("finished", vectors), "units": facts.get("units")}
+        found |= {"finished": facts.get("finished", vectors), "steps": facts.get("units")}
     else:
         found["grid"] = _grid(arrays["time"], arrays["z"], arrays["period"])
     return found
@@ -135,13 +135,13 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows of a table for people from the result of :func:`describe`."""
+    """Return the rows of a readable table from the result of :func:`describe`."""
     rows = [("kind", found["kind"])]
     if "preset" in found:
         changes = ", ".join(f"{name} = {value}" for name, value in found["changes"].items())
         rows.append(("preset", found["preset"] + (f", but {changes}" if changes else "")))
-    if "units" in found:
-        rows.append(("finished", f"{found['finished']} of {found['units']} training steps"))
+    if "steps" in found:
+        rows.append(("finished", f"{found['finished']} of {found['steps']} training steps"))
     if "members" in found:
         rows.append(("members", str(found["members"])))
     if "grid" in found:

@@ -146,9 +146,7 @@ class Ensemble(Predictor):
         engine = same_everywhere(engine)
         left_out = neighboring_folds(cases, folds)
         if not left_out:
-            raise InputError(
-                f"{len(cases)} cases are too few to leave out {folds} parts: give fewer folds."
-            )
+            raise InputError(f"{len(cases)} cases are too few for {folds} folds: give fewer folds.")
         study = common_facts("ensemble", cases, settings, engine)
         outcome = run(
             fit_model,
@@ -161,7 +159,7 @@ class Ensemble(Predictor):
         )
         fitted, calibration, seconds = _results(outcome, cases, left_out, engine)
         if outcome.failures:
-            message = f"{outcome.complaint()} The ensemble is without them."
+            message = f"{outcome.complaint()} The ensemble does not contain them."
             warnings.warn(message, PCNDEWarning, stacklevel=2)
         facts = current_provenance(cases, fitted[0].engine, seed)
         facts |= {"members": len(fitted), "folds": folds}
@@ -320,13 +318,13 @@ def load_model(
 
 
 def _prefix(number: int) -> str:
-    """Return what the names of a member's arrays begin with in the ensemble's file."""
+    """Return the prefix of a member's array names in the ensemble's file."""
     return f"member_{number}_"
 
 
 def _fold_names(number: int) -> list[str]:
     """Return the names of the fits that leave out a fold."""
-    return [f"without part {number}, {k}" for k in range(_FITS_PER_FOLD)]
+    return [f"without fold {number}, {k}" for k in range(_FITS_PER_FOLD)]
 
 
 def _tasks(
@@ -361,13 +359,13 @@ def _results(
         if all(name in models for name in _fold_names(number))
     ]
     if len(fitted) < 2 or not folds:
-        raise TaskError(f"{outcome.complaint()} The rest are too few for an ensemble.")
+        raise TaskError(f"{outcome.complaint()} Too few fits remain for an ensemble.")
     seconds = sum(float(model.provenance["seconds"]) for model in models.values())
     return fitted, _calibrate(folds), seconds
 
 
 def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
-    """Fit profile and scale on cases that the models beside them were not trained on."""
+    """Fit profile and scale on folds: models, and the cases that they were not trained on."""
     errors, spreads = [], []
     for models, cases in folds:
         found = [predict(model, cases).variables() for model in models]

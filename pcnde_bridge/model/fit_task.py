@@ -1,4 +1,4 @@
-"""One fit as a task: the unit of ensembles, cross-validation and sweeps."""
+"""One fit as a task of an ensemble, a cross-validation or a sweep."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _CASE = pd.Index(["case"])
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything that a prediction depends on beside the model.
+    """All inputs of a prediction.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Inputs:
 
 
 def inputs_from_cases(cases: Cases) -> Inputs:
-    """Return the inputs of cases; the labels of the truth's own solution are left out."""
+    """Return the inputs of cases; labels that describe the reference solution are left out."""
     labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
     return Inputs(cases.inflow, cases.area_undeformed, cases.grid, labels)
 
@@ -108,8 +108,8 @@ def inputs_from_arrays(
     count = max(len(q), len(s_u))
     if not {len(q), len(s_u)} <= {1, count}:
         raise InputError(
-            f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give as many of one as of "
-            "the other, or a single one."
+            f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give equal numbers of "
+            "both, or one of either."
         )
     q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
     return Inputs(q, s_u, grid, _numbered(0, count))

@@ -1,6 +1,6 @@
 """The two kinds of model: ``staged`` (the paper's networks) and ``closures`` (preset ``physics``).
 
-:class:`~pcnde_bridge.PCNDE` is one class for both; all that differs between them is here.
+:class:`~pcnde_bridge.PCNDE` is one class for both; this module contains all their differences.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Kind(ABC):
         """
 
     def read_parameters(self, arrays: Mapping[str, Array]) -> AnyParameters:
-        """Take the parameters from the arrays of a model file; raise KeyError if one is missing."""
+        """Read the parameters from the arrays of a model file; raise KeyError if one is missing."""
         return self._parameters(**{f.name: arrays[f.name] for f in fields(self._parameters)})
 
     def check(

@@ -35,7 +35,7 @@ def relative_error(predicted: Array, reference: Array) -> float:
 
 
 def compared(variable: str, values: Array) -> Array:
-    """Return the part of a variable (..., z) that its error counts: the area without its ends."""
+    """Return the values (..., z) that the error of a variable includes: areas without the ends."""
     if variable == "area" and values.shape[-1] > 2 * AREA_MARGIN:
         return values[..., AREA_MARGIN:-AREA_MARGIN]
     return values

@@ -219,8 +219,8 @@ class PCNDE(Predictor):
         Parameters
         ----------
         inflow : array of shape (case, time) or (time,), or Cases
-            Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; of
-            cases, their flow at the first point.  A model of the preset ``physics``
+            Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; for
+            ``Cases``, the flow at their first point.  A model of the preset ``physics``
             accepts any number of equally spaced time points of one cycle.
         area_undeformed : array of shape (case, z) or (z,)
             Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
@@ -245,8 +245,8 @@ class PCNDE(Predictor):
         Warns
         -----
         OutsideTrainingWarning
-            If an input lies outside the training data; the period does if it is more
-            than a tenth off.
+            If an input lies outside the training data; a period does if it differs by
+            more than a tenth.
 
         Raises
         ------

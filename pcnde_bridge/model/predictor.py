@@ -92,7 +92,7 @@ class Predictor(ABC):
         dict of str to array of shape (case,)
             Scores of ``inflow``, ``undeformed area`` and ``period``; 1 is the edge of the
             training data, and the largest is the prediction's ``novelty``.  Empty if the
-            model does not know its training data.
+            model has no record of its training data.
         """
         if self.novelty is None:
             return {}
@@ -146,10 +146,10 @@ def prepare(
     *,
     warn: bool = False,
 ) -> Inputs:
-    """Check the inputs, score their distance from the training data, draw random numbers.
+    """Check the inputs, score their distance from the training data, generate random numbers.
 
     The arguments are those of :meth:`pcnde_bridge.PCNDE.predict`; ``warn`` is whether to warn
-    of extrapolation, which blames the caller of the method that calls this function.
+    of extrapolation; the warning is attributed to the caller of the calling method.
     """
     if isinstance(inflow, Cases):
         if area_undeformed is not None or z is not None or period is not None:
@@ -179,7 +179,7 @@ def prepare(
 
 
 def in_batches(model: Predictor, inputs: Inputs, batch: int) -> Iterator[Prediction]:
-    """Predict some cases at a time, from inputs that were arrays."""
+    """Predict batch by batch, from inputs that were arrays."""
     for start in range(0, len(inputs), batch):
         try:
             yield model._solve(inputs.rows(start, start + batch))

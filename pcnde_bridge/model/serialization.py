@@ -90,6 +90,8 @@ def from_archive(
 def _optional_part(kind: type[_Part], prefix: str, arrays: Mapping[str, Array]) -> _Part | None:
     """Create a part of the model from the arrays with its prefix, if there are any."""
     found = with_prefix(f"{prefix}_", arrays)
+    # Older files spell the center in British English.
+    found = {name.replace("centre", "center"): values for name, values in found.items()}
     return kind(**found) if found else None
 
 

@@ -122,7 +122,7 @@ def results(
     methods += [] if other is None else [("other", other_label, dict(other))]
     methods += [("model", "PCNDE", dict(predicted))]
     if any(len(array) != len(cases) for *_, arrays in methods for array in arrays.values()):
-        raise InputError(f"The predictions are not of the {len(cases)} cases of the truth.")
+        raise InputError(f"predicted and other must have the {len(cases)} cases of the truth.")
     style.check_case("area_case", area_case, cases)
     z_index, time_index = style.z_index_at(cases, position), style.time_index_at(cases, time_point)
     figure, axes = style.time_and_space_figure(

@@ -98,7 +98,7 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     InputError
         If there is not exactly one case, or a shape differs from that of the truth.
     """
-    check_single(case, "Pointwise errors are of")
+    check_single(case, "Pointwise errors need")
     distance = {
         name: np.abs(values - check_shape(name, values, case))[0]
         for name, values in predicted.items()

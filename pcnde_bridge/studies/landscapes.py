@@ -73,12 +73,12 @@ class Landscape:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Where the equation could not be integrated, shape (n, n)."""
+        """Mask of the points where the equation could not be integrated, shape (n, n)."""
         return ~np.isfinite(self.losses)
 
     @property
     def center(self) -> float:
-        """Loss of the parameters themselves."""
+        """Loss at zero amplitudes."""
         middle = len(self.amplitudes) // 2
         return float(self.losses[middle, middle])
 

@@ -124,7 +124,7 @@ def noise_study(
     SolveError
         If the equations diverge for a sample.
     """
-    check_single(case, "A noise study takes")
+    check_single(case, "A noise study needs")
     if noisy not in get_args(NoisyInput):
         raise InputError(f"noisy must be one of {list(get_args(NoisyInput))}, got {noisy!r}.")
     if not (np.isfinite(level) and level >= 0):

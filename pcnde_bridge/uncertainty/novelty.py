@@ -83,7 +83,7 @@ class Novelty:
 
     Attributes
     ----------
-    inflow_centre, area_centre : array of shape (n,)
+    inflow_center, area_center : array of shape (n,)
         Mean of the descriptions.
     inflow_axes, area_axes : array of shape (k, n)
         Principal components.
@@ -93,11 +93,11 @@ class Novelty:
         Tolerated size of the remainder.
     """
 
-    inflow_centre: Array
+    inflow_center: Array
     inflow_axes: Array
     inflow_range: Array
     inflow_rest: Array
-    area_centre: Array
+    area_center: Array
     area_axes: Array
     area_range: Array
     area_rest: Array

@@ -82,8 +82,8 @@ def test_names_a_wrong_axis_order(small_cases, name, order, found, remedy):
             {"flow": np.ma.masked_less(np.zeros((12, 20, 21)), 1)},
             "flow has masked values",
         ),
-        ({"period": "1"}, "period must be a number of seconds; '1' is not"),
-        ({"period": True}, "period must be a number of seconds"),
+        ({"period": "1"}, r"period must be a number \(s\), got '1'"),
+        ({"period": True}, r"period must be a number \(s\)"),
         ({"period": np.nan}, "period is nan s"),
         (
             {"period": 0.5},

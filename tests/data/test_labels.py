@@ -50,9 +50,9 @@ def labelled(cases, **columns):
     ("labels", "message"),
     [
         ({"geometry": range(12)}, "labels lacks the column 'waveform'"),
-        ({"geometry": range(12), "waveform": [0]}, "cannot be made into a DataFrame"),
+        ({"geometry": range(12), "waveform": [0]}, "cannot be converted to a DataFrame"),
         ({"geometry": range(5), "waveform": range(5)}, "labels has 5 rows but there are 12 cases"),
-        ({"geometry": [1] * 12, "waveform": [*range(11), 4]}, "waveform 4 is in rows 4 and 11"),
+        ({"geometry": [1] * 12, "waveform": [*range(11), 4]}, "waveform 4 twice, in rows 4 and 11"),
         (
             {"geometry": [1] * 12, "waveform": [0.5, *range(11)]},
             r"labels\['waveform'\]\[0\] is .*0\.5.*; waveform must be a whole number",

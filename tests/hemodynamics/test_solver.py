@@ -394,7 +394,7 @@ def with_value(array, index, value):
             lambda: Tube1D().solve(
                 Z, AREA, WAVEFORMS, OUTLET, labels={"geometry": [1, 1], "waveform": [0, 0]}
             ),
-            r"two cases alike",
+            r"give each case its own pair",
         ),
         (lambda: Tube1D().simulate([], [], OUTLET), r"no vessel"),
         (

@@ -23,7 +23,7 @@ def test_what_is_needed_to_run_a_fit_again(small_cases, config, engine, ensemble
     }
     assert [found[name]["provenance"]["seed"] for name in found] == [1, 0, 0]
     assert found["ensemble"]["members"] == 3
-    assert found["run"]["finished"] == found["run"]["units"] == 2 * 3 + 2 + 2
+    assert found["run"]["finished"] == found["run"]["steps"] == 2 * 3 + 2 + 2
     for value in found.values():
         facts = value["provenance"]
         assert value["preset"] == "paper"

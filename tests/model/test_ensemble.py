@@ -215,7 +215,7 @@ def test_arguments_of_an_ensemble(small_cases, config, engine):
         ({"members": 1}, "members must be a whole number ≥ 2"),
         ({"folds": True}, "folds must be a whole number ≥ 2"),
         ({"seed": -1}, "seed must be a whole number ≥ 0"),
-        ({"folds": 99}, "too few to leave out 99 parts"),
+        ({"folds": 99}, "too few for 99 folds"),
     ):
         with pytest.raises(InputError, match=message):
             Ensemble.fit(small_cases, config, engine, **change)
@@ -266,7 +266,7 @@ def test_an_ensemble_on_the_command_line(
 
 def test_options_of_fit_that_do_not_go_together(commands):
     for more, message in (
-        (("--workers", "2"), "A single fit has one process"),
+        (("--workers", "2"), "--workers needs --members"),
         (("--members", "2", "--checkpoint", "c"), "leave --checkpoint out"),
     ):
         code, _, err = commands("fit", "--out", "m.npz", *more)

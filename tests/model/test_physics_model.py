@@ -86,10 +86,18 @@ def damaged(model_file, path, change):
 
 NEEDED = (
     *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale")),
-    *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("centre", "axes")),
+    *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("center", "axes")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("range", "rest")),
     *("outlet", "losses", "wall", "correction", "history", "time", "z", "period"),
 )
+
+
+def test_older_files_with_the_british_spelling_can_be_read(model_file, tmp_path, model):
+    def rename(_, arrays):
+        for name in ("novelty_inflow", "novelty_area"):
+            arrays[f"{name}_centre"] = arrays.pop(f"{name}_center")
+
+    assert same_numbers(PCNDE.load(damaged(model_file, tmp_path / "model", rename)), model)
 
 
 @pytest.mark.parametrize("name", NEEDED)
@@ -184,7 +192,7 @@ def test_samples_of_batches_are_those_of_the_whole(model):
 def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
     for arguments, options, message in (
         ((INFLOW, -AREA), {}, "areas must be positive"),
-        ((INFLOW, AREA[:3]), {}, "give as many"),
+        ((INFLOW, AREA[:3]), {}, "give equal numbers"),
         ((INFLOW, AREA), {"batch": 0}, "batch must be a whole number ≥ 1"),
         ((INFLOW, AREA), {"batch": 2.5}, "batch must be a whole number ≥ 1"),
     ):

@@ -44,7 +44,7 @@ def test_results(predicted, small_cases):
         ({"area_case": 12}, "area_case is 12"),
         ({"position": 1.2}, "position must be"),
         ({"time_point": -0.1}, "time_point must be"),
-        ({"other": {"flow": small_cases.flow[1:]}}, "not of the 12 cases"),
+        ({"other": {"flow": small_cases.flow[1:]}}, "must have the 12 cases"),
     ):
         with pytest.raises(InputError, match=words):
             plots.results(predicted, small_cases, **bad)

@@ -165,8 +165,8 @@ def test_study_evaluates_each_equation_twice(study, small_cases):
         assert (name, "initial") in drawn
         assert (name, "coupled") in drawn or outcome != "trained"
     frame = study.to_frame()
-    centres = frame.query("amplitude_1 == 0 and amplitude_2 == 0")
-    assert list(zip(centres["right_hand_side"], centres["moment"], strict=True)) == drawn
+    centers = frame.query("amplitude_1 == 0 and amplitude_2 == 0")
+    assert list(zip(centers["right_hand_side"], centers["moment"], strict=True)) == drawn
     assert len(frame) == 25 * len(drawn)
     np.testing.assert_array_equal(frame["loss"][:25], initial.losses.ravel())
     # The network uses S_u before the coupling, and another area after it.
