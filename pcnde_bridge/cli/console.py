@@ -9,18 +9,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-
-def _plain(*, stderr: bool) -> Console:
-    return Console(stderr=stderr, markup=False, emoji=False, highlight=False, soft_wrap=True)
-
-
-_out, _notes = _plain(stderr=False), _plain(stderr=True)
+_PLAIN: dict[str, Any] = dict.fromkeys(("markup", "emoji", "highlight"), False)
+_out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (False, True))
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -51,18 +47,13 @@ def show_errors(errors: Mapping[str, Mapping[str, float]]) -> None:
 
 
 def note_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any
 ) -> None:
     """Print a warning of the package without the line of code that Python would show."""
     if category.__module__.partition(".")[0] == "pcnde_bridge":
         text = str(message)
     else:
-        text = warnings.formatwarning(message, category, filename, lineno, line)
+        text = warnings.formatwarning(message, category, filename, lineno)
     note(f"Warning: {text}")
 
 

@@ -14,20 +14,14 @@ from pcnde_bridge.cli.options import check_outputs, option
 from pcnde_bridge.errors import InputError, PCNDEError
 
 FileFormat = Literal["simvascular", "sv1d", "csv", "hdf5"]
-DataSetOption = Annotated[Path, option("--out", help="File for the data set: .npz or .h5.")]
+DataSetOption = Annotated[Path, option("File for the data set: .npz or .h5.")]
 
 
 def simulate(
     out: DataSetOption,
-    geometries: Annotated[
-        int, option("--geometries", min=1, help="Number of blockages, evenly from 40 to 85 %.")
-    ] = 10,
-    waveforms: Annotated[
-        int, option("--waveforms", min=1, help="Number of waveforms, of increasing amplitude.")
-    ] = 10,
-    seed: Annotated[
-        int, option("--seed", min=0, help="0: built-in waveform; others: variations of it.")
-    ] = 0,
+    geometries: Annotated[int, option("Number of blockages, from 40 to 85 %.", min=1)] = 10,
+    waveforms: Annotated[int, option("Number of waveforms, of increasing amplitude.", min=1)] = 10,
+    seed: Annotated[int, option("0: built-in waveform; others: variations of it.", min=0)] = 0,
 ) -> None:
     """Simulate stenosed vessels with the 1D solver."""
     from pcnde_bridge.hemodynamics.synthetic import synthetic
@@ -45,41 +39,33 @@ def convert(
             "svOneDSolver (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
         ),
     ],
-    source: Annotated[FileFormat, option("--from", help="Program or format of the files.")],
+    source: Annotated[FileFormat, option("Program or format of the files.", "--from")],
     out: DataSetOption,
     labels: Annotated[
-        Path | None, option("--labels", help="CSV with one row per file: file, geometry, waveform.")
+        Path | None, option("CSV with one row per file: file, geometry, waveform.")
     ] = None,
     period: Annotated[
-        float | None, option("--period", help="Cycle length, s; the last complete cycle is used.")
+        float | None, option("Cycle length, s; the last complete cycle is used.")
     ] = None,
     time_step: Annotated[
-        float | None, option("--time-step", help="Time step of the 3D simulation, s (simvascular).")
+        float | None, option("Time step of the 3D simulation, s (simvascular).")
     ] = None,
     units: Annotated[
-        str | None,
-        option("--units", help="cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm."),
+        str | None, option("cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm.")
     ] = None,
     flip: Annotated[
         Literal["flow", "z"] | None,
-        option("--flip", help="Reverse the sign of the flow, or the direction of the vessel."),
+        option("Reverse the sign of the flow, or the direction of the vessel."),
     ] = None,
     time_points: Annotated[
-        int | None, option("--time-points", help="Resample the cycle to this number of time steps.")
+        int | None, option("Resample the cycle to this number of steps.")
     ] = None,
-    points: Annotated[
-        int | None, option("--points", help="Resample the vessel to this number of points.")
-    ] = None,
-    branch: Annotated[
-        int | None, option("--branch", help="BranchId of the vessel (simvascular).")
-    ] = None,
-    rigid: Annotated[bool, option("--rigid", help="The walls were rigid (simvascular).")] = False,
-    segments: Annotated[
-        str | None,
-        option("--segments", help="Segments from the inlet: a,b,c (sv1d)."),
-    ] = None,
+    points: Annotated[int | None, option("Resample the vessel to this number of points.")] = None,
+    branch: Annotated[int | None, option("BranchId of the vessel (simvascular).")] = None,
+    rigid: Annotated[bool, option("The walls were rigid (simvascular).", "--rigid")] = False,
+    segments: Annotated[str | None, option("Segments from the inlet: a,b,c (sv1d).")] = None,
     names: Annotated[
-        str | None, option("--names", help="Names of the data sets: flow=/Q,pressure=/P (hdf5).")
+        str | None, option("Names of the data sets: flow=/Q,pressure=/P (hdf5).")
     ] = None,
 ) -> None:
     """Convert results of other programs into a data set.
@@ -115,7 +101,7 @@ def convert(
 
 def download(
     folder: Annotated[
-        Path | None, option("--cache", help="Folder of the files; by default the cache folder.")
+        Path | None, option("Folder of the files; by default the cache folder.", "--cache")
     ] = None,
 ) -> None:
     """Download the published data set (100 cases, about 50 MB)."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import pandas as pd
+from matplotlib.figure import Figure
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write, make_folder, write_json
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PCNDEConfig, resolve_config
@@ -21,24 +21,12 @@ from pcnde_bridge.evaluation.baselines import Unchanged
 from pcnde_bridge.hemodynamics.synthetic import synthetic
 from pcnde_bridge.model.metrics import error_table, pooled, pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.plots import loss_history, time_and_space
 from pcnde_bridge.plots.paper_figures import hardest_case
 from pcnde_bridge.training import checkpoint as checkpoints
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FILES = (
-    "model.npz",
-    "cases.npz",
-    "split.json",
-    "errors.csv",
-    "history.csv",
-    "prediction.csv.gz",
-    "inflow.csv",
-    "area.csv",
-    "prediction.png",
-    "history.png",
-)
+_TABLES = ("errors.csv", "history.csv", "prediction.csv.gz", "inflow.csv", "area.csv")
+FILES = ("model.npz", "cases.npz", "split.json", *_TABLES, "prediction.png", "history.png")
 """Files of the demo beside :data:`MARK`; each is written as a whole or not at all."""
 
 MARK = "demo.json"
@@ -61,14 +49,11 @@ To train on the paper's 3D simulations, as in the paper:
   pcnde fit published --out model.npz"""  # noqa: E501
 
 
-@dataclass(frozen=True)
-class Demo:
+class Demo(NamedTuple):
     """Result of the demo.
 
     Attributes
     ----------
-    folder : pathlib.Path
-        Folder of :data:`FILES` and :data:`MARK`.
     model : PCNDE
         Fitted model.
     errors : dict
@@ -78,14 +63,13 @@ class Demo:
         Time of this run.
     """
 
-    folder: Path
     model: PCNDE
     errors: dict[str, dict[str, dict[str, float]]]
     seconds: float
 
 
 def run_demo(
-    out: str | os.PathLike[str] = "demo",
+    out: StrPath = "demo",
     seed: int = 0,
     engine: EngineName | Engine = "auto",
     config: PCNDEConfig | str = "fast",
@@ -158,7 +142,7 @@ def run_demo(
     seconds = time.perf_counter() - began
     results = {"finished": True, "seconds": round(seconds, 1), "errors": errors}
     write_json(folder / MARK, {**facts, **results})
-    return Demo(folder, model, errors, seconds)
+    return Demo(model, errors, seconds)
 
 
 def _claim(folder: Path, facts: dict[str, Any]) -> None:
@@ -191,15 +175,14 @@ def _claim(folder: Path, facts: dict[str, Any]) -> None:
 
 def _keys(cases: Cases) -> list[list[int]]:
     labels = cases.labels[["geometry", "waveform"]]
-    return [[int(value) for value in row] for row in labels.to_numpy()]
+    keys: list[list[int]] = labels.to_numpy(dtype=int).tolist()
+    return keys
 
 
 def _write_results(
     folder: Path, model: PCNDE, sets: dict[str, Cases], truth_label: str
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Write errors, history, predictions and figures; return the errors over all cases."""
-    from pcnde_bridge.plots import loss_history, time_and_space
-
     predictions = {name: model.predict(cases) for name, cases in sets.items()}
     tables = {name: error_table(predictions[name].variables(), sets[name]) for name in sets}
     baseline = Unchanged().fit(sets["train"])
@@ -207,25 +190,20 @@ def _write_results(
         "PCNDE": {name: pooled(table) for name, table in tables.items()},
         "no change": {n: pooled_errors(baseline.predict(part), part) for n, part in sets.items()},
     }
-    _write_table(folder / "errors.csv", pd.concat(tables, names=["set"]).reset_index())
-    _write_table(folder / "history.csv", model.history)
-
     test, prediction = sets["test"], predictions["test"]
-    _write_table(folder / "prediction.csv.gz", prediction.to_frame(), float_format="%.7g")
     hardest = hardest_case(test)
-    inflow = {"time": test.time, "inflow": test.inflow[hardest]}
-    _write_table(folder / "inflow.csv", pd.DataFrame(inflow))
-    area = {"z": test.z, "area": test.area_undeformed[hardest]}
-    _write_table(folder / "area.csv", pd.DataFrame(area))
+    inflow = pd.DataFrame({"time": test.time, "inflow": test.inflow[hardest]})
+    area = pd.DataFrame({"z": test.z, "area": test.area_undeformed[hardest]})
+    all_errors = pd.concat(tables, names=["set"]).reset_index()
+    written = all_errors, model.history, prediction.to_frame(), inflow, area
+    for name, table in zip(_TABLES, written, strict=True):
+        with atomic_write(folder / name) as temporary:  # its ending also selects the compression
+            digits = "%.7g" if name.startswith("prediction") else None
+            table.to_csv(temporary, index=False, float_format=digits)
     figure = time_and_space(prediction, test, hardest, truth_label=truth_label)
     _write_figure(folder / "prediction.png", figure)
     _write_figure(folder / "history.png", loss_history(model.history))
     return errors
-
-
-def _write_table(path: Path, table: pd.DataFrame, **options: Any) -> None:
-    with atomic_write(path) as temporary:  # its ending also selects the compression
-        table.to_csv(temporary, index=False, **options)
 
 
 def _write_figure(path: Path, figure: Figure) -> None:

@@ -66,8 +66,8 @@ for _name, _command in _COMMANDS.items():
 
 @app.callback(invoke_without_command=True)
 def _global_options(
-    version: Annotated[bool, option("--version", help="Print the version.")] = False,
-    verbose: Annotated[bool, option("--verbose", "-v", help="Verbose output.")] = False,
+    version: Annotated[bool, option("Print the version.", "--version")] = False,
+    verbose: Annotated[bool, option("Verbose output.", "--verbose", "-v")] = False,
 ) -> None:
     logging.basicConfig(format="%(message)s", level=logging.DEBUG if verbose else logging.WARNING)
     logging.getLogger("pcnde_bridge").setLevel(logging.DEBUG if verbose else logging.INFO)

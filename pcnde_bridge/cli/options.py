@@ -16,8 +16,8 @@ from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import FileError, InputError
 
 
-def option(*names: str, help: str, **settings: Any) -> Any:
-    """Return an option with its help text."""
+def option(help: str, *names: str, **settings: Any) -> Any:
+    """Return an option with its help text; without names it has that of its parameter."""
     return typer.Option(*names, help=help, **settings)
 
 
@@ -33,23 +33,20 @@ ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a 
 SplitOption = Annotated[
     str,
     option(
-        "--split",
-        help="'paper', 'none' (all cases are training cases), or a JSON file "
-        '{"train": [[G, W], ...], "test": [...]}.',
+        "'paper', 'none' (all cases are training cases), or a JSON file "
+        '{"train": [[G, W], ...], "test": [...]}.'
     ),
 ]
-PresetOption = Annotated[str, option("--preset", help=f"Preset: {', '.join(PRESETS)}.")]
+PresetOption = Annotated[str, option(f"Preset: {', '.join(PRESETS)}.")]
 ConfigOption = Annotated[
-    Path | None, option("--config", help="JSON file of settings that differ from the preset.")
+    Path | None, option("JSON file of settings that differ from the preset.", "--config")
 ]
 SeedOption = Annotated[
-    int, option("--seed", min=0, help="Random seed for the initial weights and the batch order.")
+    int, option("Random seed for the initial weights and the batch order.", min=0)
 ]
-EngineOption = Annotated[EngineName, option("--engine", help="Compute engine.")]
-WorkersOption = Annotated[int, option("--workers", min=1, help="Number of parallel processes.")]
-JsonOption = Annotated[
-    Path | None, option("--json", help="Also write the results to this JSON file.")
-]
+EngineOption = Annotated[EngineName, option("Compute engine.")]
+WorkersOption = Annotated[int, option("Number of parallel processes.", min=1)]
+JsonOption = Annotated[Path | None, option("Also write the results to this JSON file.", "--json")]
 
 
 def settings_of(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:

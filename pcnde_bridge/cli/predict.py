@@ -39,10 +39,9 @@ _IN_MEMORY = 256  # predictions of single cases, with their samples, while a tab
 
 def info(
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="Model, ensemble, checkpoint or data set."),
+        Path, typer.Argument(metavar="FILE", help="Model, ensemble, checkpoint or data set.")
     ],
-    as_json: Annotated[bool, option("--json", help="Print JSON, with all settings.")] = False,
+    as_json: Annotated[bool, option("Print JSON, with all settings.", "--json")] = False,
 ) -> None:
     """Print the content of a file, and how a model was trained."""
     from pcnde_bridge.model.describe import describe, lines
@@ -63,48 +62,40 @@ def evaluate(
     split: SplitOption = "paper",
     engine: EngineOption = "auto",
     json_file: JsonOption = None,
-    per_case: Annotated[
-        Path | None, option("--csv", help="Also write the errors of every case.")
-    ] = None,
+    csv: Annotated[Path | None, option("Also write the errors of every case.")] = None,
 ) -> None:
     """Print relative errors of a model on a data set."""
-    check_outputs(json_file, per_case, inputs=[model, Path(data)])
+    check_outputs(json_file, csv, inputs=[model, Path(data)])
     fitted = load_model(model, engine)
     sets = split_of(load_cases(data), split)
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     errors = {name: pooled(table) for name, table in tables.items()}
     if json_file is not None:
         write_json(json_file, errors)
-    if per_case is not None:
-        with atomic_write(per_case) as temporary:
+    if csv is not None:
+        with atomic_write(csv) as temporary:
             pd.concat(tables, names=["set"]).to_csv(temporary)
     show_errors(errors)
 
 
 def predict(
     model: ModelArgument,
-    inflow: Annotated[
-        Path, option("--inflow", help="CSV: time (s), then one column of Q (mL/s) per case.")
-    ],
-    area: Annotated[
-        Path, option("--area", help="CSV: z (cm), then one column of S_u (cm²) per case.")
-    ],
+    inflow: Annotated[Path, option("CSV: time (s), then one column of Q (mL/s) per case.")],
+    area: Annotated[Path, option("CSV: z (cm), then one column of S_u (cm²) per case.")],
     out: Annotated[
         Path,
         option(
-            "--out",
-            help="Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per "
-            "case) or .pvd (animation for ParaView).",
+            "Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per case) "
+            "or .pvd (animation for ParaView)."
         ),
     ],
     engine: EngineOption = "auto",
     samples: Annotated[
         int,
         option(
-            "--samples",
+            "Number of samples for the standard deviations in a .csv (preset physics; 64 are "
+            "enough). An ensemble always gives standard deviations.",
             min=0,
-            help="Number of samples for the standard deviations in a .csv (preset physics; 64 "
-            "are enough). An ensemble always gives standard deviations.",
         ),
     ] = 0,
 ) -> None:
@@ -145,7 +136,7 @@ def predict(
 def explore(
     model: ModelArgument,
     port: Annotated[
-        int, option("--port", min=0, max=65535, help="Port on this machine; 0: any free port.")
+        int, option("Port on this machine; 0: any free port.", min=0, max=65535)
     ] = 8050,
 ) -> None:
     """Explore a model on a web page, on this machine only."""
@@ -158,13 +149,13 @@ def explore(
 def figures(
     model: ModelArgument,
     data: DataArgument,
-    out: Annotated[Path, option("--out", help="Folder for PNG, PDF and CSV files.")],
+    out: Annotated[Path, option("Folder for PNG, PDF and CSV files.")],
     only: Annotated[
         list[str] | None,
-        option("--only", help="Figure to draw; may be repeated. An unknown name prints all names."),
+        option("Figure to draw; may be repeated. An unknown name prints all names."),
     ] = None,
     studies: Annotated[
-        bool, option("--studies", help="Include figures that train models, which takes minutes.")
+        bool, option("Include figures that train models, which takes minutes.", "--studies")
     ] = False,
     split: SplitOption = "paper",
     engine: EngineOption = "auto",
@@ -174,19 +165,13 @@ def figures(
 
     The numbers of most figures are written beside them.
     """
-    from pcnde_bridge.plots.paper_figures import (
-        FIGURES,
-        FigureData,
-        PaperFigure,
-        choose,
-        make_figures,
-    )
+    from pcnde_bridge.plots import paper_figures
 
     names = only or []
-    choose(names)
+    paper_figures.choose(names)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, split)
-    figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"))
+    figure_data = paper_figures.FigureData(fitted, cases, sets["train"], sets.get("test"))
     if data == "synthetic":
         figure_data.truth_label, figure_data.other = "1D solver", None
     elif data != "published":
@@ -194,16 +179,17 @@ def figures(
     if workers > 1:
         figure_data.executor = processes(workers)
 
-    def announce(number: int, count: int, figure: PaperFigure) -> None:
+    def announce(number: int, count: int, figure: paper_figures.PaperFigure) -> None:
         cost = f"; {figure.cost}" if figure.cost else ""
         note(f"[{number}/{count}] {figure.name}: {figure.description}{cost}")
 
-    drawn = make_figures(figure_data, out, only=names, with_studies=studies, on_figure=announce)
-    for result in drawn:
+    for result in paper_figures.make_figures(
+        figure_data, out, only=names, with_studies=studies, on_figure=announce
+    ):
         files = ", ".join(path.name for path in result.files)
         reason = f"left out. {result.reason}"
         say(f"{result.figure.name}: {reason if result.reason else files}")
     if not names and not studies:
-        left_out = [f"{figure.name} ({figure.cost})" for figure in FIGURES if figure.cost]
-        say(f"Left out without --studies: {', '.join(left_out)}.")
+        costly = [f"{f.name} ({f.cost})" for f in paper_figures.FIGURES if f.cost]
+        say(f"Left out without --studies: {', '.join(costly)}.")
     say(f"The files are in {out}.")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from rich.table import Table
 
@@ -26,46 +27,36 @@ from pcnde_bridge.cli.options import (
     settings_of,
     split_of,
 )
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
-from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
-from pcnde_bridge.evaluation import cross_validation
+from pcnde_bridge.evaluation import baselines, benchmark, cross_validation
 from pcnde_bridge.io.datasets import load_cases
 from pcnde_bridge.model.ensemble import Ensemble
 from pcnde_bridge.model.metrics import pooled
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.training import checkpoint as checkpoints
 
-if TYPE_CHECKING:
-    from pcnde_bridge.evaluation.benchmark import Row
-
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
 CheckpointOption = Annotated[
     Path | None,
     option(
-        "--checkpoint",
-        help="File that stores the state of training. By default OUT.checkpoint (fit) or "
-        "bench-….checkpoint in this folder (bench), removed after the training.",
+        "File that stores the state of training. By default OUT.checkpoint (fit) or "
+        "bench-….checkpoint in this folder (bench), removed after the training."
     ),
 ]
 
 
 def fit(
     data: DataArgument,
-    out: Annotated[Path, option("--out", help="File for the fitted model.")],
+    out: Annotated[Path, option("File for the fitted model.")],
     split: SplitOption = "paper",
     preset: PresetOption = "paper",
     config: ConfigOption = None,
     engine: EngineOption = "auto",
     seed: SeedOption = 0,
     checkpoint: CheckpointOption = None,
-    members: Annotated[
-        int,
-        option("--members", min=1, help="Number of models; more than 1 is an ensemble."),
-    ] = 1,
+    members: Annotated[int, option("Number of models; more than 1 is an ensemble.", min=1)] = 1,
     workers: WorkersOption = 1,
 ) -> None:
     """Train a model, or resume an interrupted run."""
@@ -77,15 +68,23 @@ def fit(
     if members == 1 and workers > 1:
         raise InputError("--workers needs --members: a single fit runs in one process.")
     sets = split_of(load_cases(data), split)
+    run = sets["train"], settings, engine, seed
     model: PCNDE | Ensemble
-    if members > 1:
-        model = _fit_ensemble(sets["train"], settings, engine, seed, members, workers, out)
+    if members == 1:
+        with _training_state(checkpoint, out.with_name(out.name + ".checkpoint")) as state:
+            model = PCNDE.fit(*run, state)
+            model.save(out)
     else:
-        state = checkpoint or out.with_name(out.name + ".checkpoint")
-        model = _fit_model(sets["train"], settings, engine, seed, state)
+        folder = out.with_name(out.name + ".fits")  # until the ensemble is written
+        if folder.exists():
+            note(f"Continuing with the finished fits in {folder}.")
+        # One worker is a process, too, so that the number of workers does not change a bit.
+        executor = processes(workers)
+        with resumable(f"The finished fits are in {folder}"):
+            model = Ensemble.fit(*run, members=members, executor=executor, folder=folder)
         model.save(out)
-        if checkpoint is None:
-            checkpoints.remove(state)
+        if not model.provenance["failures"]:
+            remove_results(folder)
     show_errors({name: pooled(model.evaluate(cases)) for name, cases in sets.items()})
     say(f"Saved {out}.")
 
@@ -99,10 +98,9 @@ def cross_validate(
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
     folder: Annotated[
-        Path | None,
-        option("--folder", help="Folder that stores finished fits, to resume an interrupted run."),
+        Path | None, option("Folder that stores finished fits, to resume an interrupted run.")
     ] = None,
-    csv: Annotated[Path | None, option("--csv", help="Also write the table.")] = None,
+    csv: Annotated[Path | None, option("Also write the table.")] = None,
 ) -> None:
     """Leave out each waveform and geometry, and print errors.
 
@@ -134,9 +132,7 @@ def cross_validate(
 def bench(
     data: DataArgument,
     split: SplitOption = "paper",
-    model: Annotated[
-        Path | None, option("--model", help="Fitted model; without it, one is trained.")
-    ] = None,
+    model: Annotated[Path | None, option("Fitted model; without it, one is trained.")] = None,
     preset: PresetOption = "paper",
     config: ConfigOption = None,
     engine: EngineOption = "auto",
@@ -145,27 +141,20 @@ def bench(
     checkpoint: CheckpointOption = None,
 ) -> None:
     """Compare errors and times of a model with the baselines."""
-    from pcnde_bridge.evaluation import baselines, benchmark
-
-    training = {
-        "--preset": preset != "paper",
-        "--config": config,
-        "--seed": seed,
-        "--checkpoint": checkpoint,
-    }
-    if model is not None and any(training.values()):
-        given = ", ".join(name for name, value in training.items() if value)
-        raise InputError(f"A fitted model is not trained: leave out --model, or {given}.")
+    training = {"preset": preset != "paper", "config": config, "seed": seed}
+    given = [f"--{k}" for k, value in {**training, "checkpoint": checkpoint}.items() if value]
+    if model is not None and given:
+        raise InputError(
+            f"A fitted model is not trained: leave out --model, or {', '.join(given)}."
+        )
     settings = settings_of(preset, config)
     check_outputs(json_file, checkpoint, inputs=[Path(data)])
     fitted = None if model is None else PCNDE.load(model, engine)
     sets = split_of(load_cases(data), split)
     if fitted is None:
-        name = benchmark.checkpoint_name(sets["train"], settings, engine, seed)
-        state = checkpoint or Path(name)
-        fitted = _fit_model(sets["train"], settings, engine, seed, state)
-        if checkpoint is None:
-            checkpoints.remove(state)
+        run = sets["train"], settings, engine, seed
+        with _training_state(checkpoint, Path(benchmark.checkpoint_name(*run))) as state:
+            fitted = PCNDE.fit(*run, state)
     rows = [benchmark.bench_model(fitted, sets)]
     for name, baseline in baselines.standard_baselines().items():
         rows.append(benchmark.bench_baseline(name, baseline, sets))
@@ -184,10 +173,8 @@ def bench(
 
 
 def demo(
-    out: Annotated[Path, option("--out", help="Folder for all files.")] = Path("demo"),
-    seed: Annotated[
-        int, option("--seed", min=0, help="Random seed of the waveforms and of the training.")
-    ] = 0,
+    out: Annotated[Path, option("Folder for all files.")] = Path("demo"),
+    seed: Annotated[int, option("Random seed of the waveforms and of the training.", min=0)] = 0,
     engine: EngineOption = "auto",
 ) -> None:
     """Simulate, train, evaluate and predict, in three minutes."""
@@ -205,59 +192,31 @@ def demo(
     say(NEXT_STEPS.format(folder=out, seconds=result.seconds))
 
 
-def _fit_model(
-    train: Cases,
-    settings: PCNDEConfig | ClosureConfig,
-    engine: EngineName,
-    seed: int,
-    state: Path,
-) -> PCNDE:
-    """Train from the start or from the checkpoint."""
+@contextmanager
+def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
+    """Yield the file for the state of training; the default one is removed after the block."""
+    state = checkpoint or default
     if state.exists():
         note(f"Continuing from {state}.")
     with resumable(f"The state of training is in {state}"):
-        return PCNDE.fit(train, settings, engine, seed, state)
+        yield state
+    if checkpoint is None:
+        checkpoints.remove(state)
 
 
-def _fit_ensemble(
-    train: Cases,
-    settings: PCNDEConfig | ClosureConfig,
-    engine: EngineName,
-    seed: int,
-    members: int,
-    workers: int,
-    out: Path,
-) -> Ensemble:
-    """Fit and save an ensemble; finished fits are stored beside its file until it is written."""
-    folder = out.with_name(out.name + ".fits")
-    if folder.exists():
-        note(f"Continuing with the finished fits in {folder}.")
-    # One worker is a process, too, so that the number of workers does not change a bit.
-    executor = processes(workers)
-    with resumable(f"The finished fits are in {folder}"):
-        ensemble = Ensemble.fit(
-            train, settings, engine, seed, members=members, executor=executor, folder=folder
-        )
-    ensemble.save(out)
-    if not ensemble.provenance["failures"]:
-        remove_results(folder)
-    return ensemble
-
-
-def _show_rows(rows: list[Row], sets: list[str]) -> None:
+def _show_rows(rows: list[benchmark.Row], sets: list[str]) -> None:
     """Print the methods side by side, then why some were not applicable."""
     variables = list(rows[0].errors[sets[0]])
     table = Table("relative error", "", *variables, show_lines=True)
     table.add_column("fit\ns", justify="right")
     table.add_column("predict\nms per case", justify="right")
     for row in rows:
-        if row.reason is not None:
-            table.add_row(row.name, "", *("–" for _ in variables), "–", "–")
-            continue
-        errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in sets) for v in variables)
-        fit_time = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
-        predict_time = f"{row.predict_ms_per_case:.2f}"
-        table.add_row(row.name, "\n".join(sets), *errors, fit_time, predict_time)
+        found = [name for name in sets if name in row.errors]
+        errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in found) for v in variables)
+        fit_time = "" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
+        predict_time = "" if row.reason else f"{row.predict_ms_per_case:.2f}"
+        cells = (cell or "–" for cell in (*errors, fit_time, predict_time))
+        table.add_row(row.name, "\n".join(found), *cells)
     show(table)
     for row in rows:
         if row.reason is not None:
