@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,13 +16,13 @@ from numpy.typing import ArrayLike
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge._utils.checksum import sha256_arrays
 from pcnde_bridge._utils.validation import counted
-from pcnde_bridge.data.checks import check_arrays, check_time, warn_of_units
+from pcnde_bridge.data.checks import UnitsWarning, check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions, split_positions
 from pcnde_bridge.data.variables import UNITS
-from pcnde_bridge.errors import FileError
+from pcnde_bridge.errors import FileError, InputError
 
 _LABELS = "labels/"  # prefix of the labels' names among the arrays
 
@@ -62,18 +63,20 @@ class Cases:
         text are retained; their names must be Python names.  By default ``geometry``
         counts the cases from 0 and ``waveform`` is 0.
 
+    check : bool
+        Refuse implausible data.  If False, they give a warning.
+
     Raises
     ------
     InputError
-        If an argument is not usable; the message names the field and the index.
+        If an argument is not usable; the message names the field and the index.  Also if
+        the values are implausible for arteries of 0.8 mm to 5 cm in CGS units, or if the
+        cycle mean of a flow is negative or changes along the vessel by more than 4 %.
 
     Warns
     -----
     UnitsWarning
-        If the values are implausible for a vessel in CGS units: median undeformed
-        area outside 1e-4 … 100 cm², median area more than 5 times away from the
-        undeformed one, median speed ``|flow| / area`` outside 0.5 … 500 cm/s (unless
-        there is no flow), or largest pressure outside 1e3 … 1e7 dyn/cm².
+        If the values are implausible and ``check`` is False.
     """
 
     flow: Array
@@ -96,13 +99,19 @@ class Cases:
         *,
         period: float | None = None,
         labels: pd.DataFrame | Mapping[str, Any] | None = None,
+        check: bool = True,
     ) -> None:
         given = (flow, area, pressure, area_undeformed, time, z)
         arrays = check_arrays(dict(zip(UNITS, given, strict=True)))
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
         self._fill(arrays, cycle, table)
-        warn_of_units(arrays)
+        try:
+            check_plausible(arrays)
+        except InputError as error:
+            if check:
+                raise
+            warnings.warn(str(error), UnitsWarning, stacklevel=2)
 
     def _fill(self, arrays: Mapping[str, Array], period: float, labels: pd.DataFrame) -> None:
         """Set the fields, once."""
@@ -335,7 +344,8 @@ class Cases:
         labels = {k.removeprefix(_LABELS): v for k, v in contents.items() if k.startswith(_LABELS)}
         try:
             arrays = {name: contents[name] for name in UNITS}
-            cases = cls(**arrays, period=contents["period"].item(), labels=labels)
+            period = contents["period"].item()
+            cases = cls(**arrays, period=period, labels=labels, check=False)
         except ValueError as error:
             raise FileError(f"{path} holds data that are not usable: {error}") from error
         if cases.fingerprint() != str(contents["fingerprint"]):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,8 +14,10 @@ from pcnde_bridge._utils.validation import (
     check_shape,
     check_values,
     counted,
+    naming,
     real_array,
 )
+from pcnde_bridge.data.plausibility import CONVERT, check_flow, check_units, sizes_of
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -106,23 +107,16 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
     )
 
 
-def warn_of_units(arrays: Mapping[str, Array]) -> None:
-    """Warn if the magnitudes are implausible for a vessel in CGS units."""
-    undeformed = arrays["area_undeformed"]
-    area = float(np.median(undeformed))
-    ratio = float(np.median(arrays["area"] / undeformed[:, None, :]))
-    speed = float(np.median(np.abs(arrays["flow"]) / arrays["area"]))
-    pressure = float(np.max(np.abs(arrays["pressure"])))
-    doubts = []
-    if not 1e-4 <= area <= 100:
-        doubts.append(f"the median undeformed area is {area:.3g}, expected cm²")
-    if not 0.2 <= ratio <= 5:
-        doubts.append(f"area is {ratio:.3g} times area_undeformed; both are expected in cm²")
-    if speed != 0 and not 0.5 <= speed <= 500:
-        doubts.append(f"the median of flow / area is {speed:.3g}, expected cm/s (mL/s over cm²)")
-    if not 1e3 <= pressure <= 1e7:
-        doubts.append(
-            f"the largest pressure is {pressure:.3g}, expected dyn/cm² (1 mmHg = 1333.22 dyn/cm²)"
-        )
-    if doubts:
-        warnings.warn("check the units: " + "; ".join(doubts), UnitsWarning, stacklevel=3)
+def check_plausible(arrays: Mapping[str, Array]) -> None:
+    """Raise unless the arrays of a data set are plausible for single vessels in CGS units.
+
+    Raises
+    ------
+    InputError
+        If magnitudes, or the flow along a vessel, are implausible; see
+        :mod:`pcnde_bridge.data.plausibility`.
+    """
+    check_units(sizes_of(**arrays), (), CONVERT)
+    for case, (flow, area) in enumerate(zip(arrays["flow"], arrays["area"], strict=True)):
+        with naming(f"case {case}"):
+            check_flow(flow, area, arrays["z"], "Pass flow=-flow, or reverse the points.")

@@ -239,7 +239,8 @@ def _check_labels(z: Array, area_undeformed: Array, labels: Labels) -> pd.DataFr
     area = np.repeat(area_undeformed[:, None], 4, axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitsWarning)
-        rest = Cases(0 * area, area, 0 * area, area_undeformed, np.arange(4), z, labels=labels)
+        fields = 0 * area, area, 0 * area, area_undeformed, np.arange(4), z
+        rest = Cases(*fields, labels=labels, check=False)
     return rest.labels
 
 

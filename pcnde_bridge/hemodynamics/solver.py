@@ -215,7 +215,8 @@ class Tube1D(TubeSettings):
         time = np.arange(self.n_times) * (problem.period / self.n_times)
         labels = problem.labels.assign(periodicity=periodicity, volume_balance=volume_balance)
         z, period, s_u = problem.z, problem.period, problem.area_undeformed
-        return Cases(flow, area, pressure, s_u, time, z, period=period, labels=labels)
+        fields = flow, area, pressure, s_u, time, z
+        return Cases(*fields, period=period, labels=labels, check=False)
 
     def _settling(self, problem: Problem, area: Array) -> Array:
         """Fraction of its distance to the periodic state that a cycle covers, (case,)."""

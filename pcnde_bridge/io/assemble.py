@@ -18,6 +18,8 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, naming, whole
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.plausibility import OPTION, check_flow, check_units, sizes_of
+from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.resampling import (
@@ -27,10 +29,14 @@ from pcnde_bridge.io.resampling import (
     on_time_points,
     one_cycle,
 )
-from pcnde_bridge.io.units import SYSTEMS, check_units, in_cgs, stated_units
 from pcnde_bridge.io.vessel_results import VesselResults
 
 Flip = Literal["flow", "z"]
+
+_FLIP = (
+    "If flow out of the vessel counts as positive there, pass flip='flow' (--flip flow); if the "
+    "points run from the outlet to the inlet, flip='z' (--flip z)."
+)
 
 Paths = StrPath | Sequence[StrPath]
 """One path or several."""
@@ -107,10 +113,11 @@ def to_cases(
     for given in results:
         with naming(given.name):
             _check_arrays(given)
-            vessel = _flipped(in_cgs(given, stated), flip)
-            check_units(vessel, known | set(given.units))
-            _check_direction(vessel)
-            vessel = on_time_points(one_cycle(vessel, period), time_points)
+            vessel = _flipped(_in_cgs(given, stated), flip)
+            _check_units(vessel, known | set(given.units))
+            vessel = one_cycle(vessel, period)
+            check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
+            vessel = on_time_points(vessel, time_points)
             vessels.append(on_points(vessel, points))
     first = vessels[0]
     if points is not None and np.ndim(points) == 0:
@@ -122,7 +129,9 @@ def to_cases(
         for name in (*VARIABLES, "area_undeformed")
     }
     table = _labels_of(vessels) if labels is None else labels
-    return Cases(**stacked, time=first.time, z=first.z, period=first.period, labels=table)
+    return Cases(
+        **stacked, time=first.time, z=first.z, period=first.period, labels=table, check=False
+    )
 
 
 def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
@@ -161,6 +170,23 @@ def _check_arrays(vessel: VesselResults) -> None:
         check_values(name, axis[1:], np.diff(axis) <= 0, rule, offset=1)
 
 
+def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
+    """Convert results to CGS from the units that the caller, or else the file, states."""
+    factor = factors_to_cgs({**vessel.units, **stated})
+    factor["area_undeformed"] = factor["area"]
+    arrays: dict[str, Any] = {name: f * getattr(vessel, name) for name, f in factor.items()}
+    period = None if vessel.period is None else vessel.period * factor["time"]
+    return dataclasses.replace(vessel, **arrays, period=period)
+
+
+def _check_units(vessel: VesselResults, stated: set[str]) -> None:
+    """Raise if units that are not stated are wrong or ambiguous."""
+    fields = {name: values[None] for name, values in vessel.variables().items()}
+    undeformed = vessel.area_undeformed[None]
+    sizes = sizes_of(**fields, area_undeformed=undeformed, time=vessel.time, z=vessel.z)
+    check_units(sizes, stated, OPTION, unique=True)
+
+
 def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
     if flip == "flow":
         return dataclasses.replace(vessel, flow=-vessel.flow)
@@ -173,20 +199,3 @@ def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
             z=vessel.z[0] + vessel.z[-1] - vessel.z[::-1],
         )
     return vessel
-
-
-def _check_direction(vessel: VesselResults) -> None:
-    """Raise if the flow runs against z, or changes its sign along the vessel."""
-    inlet, outlet = vessel.flow.mean(axis=0)[[0, -1]]
-    small = 1e-3 * np.abs(vessel.flow).max()
-    if inlet < -small:
-        raise InputError(
-            f"the flow runs against z, its mean is {inlet:.4g} mL/s at the first point. If flow "
-            "out of the vessel counts as positive there, pass flip='flow' (--flip flow); if the "
-            "points run from the outlet to the inlet, flip='z' (--flip z)."
-        )
-    if inlet > small and outlet < -small:
-        raise InputError(
-            f"the mean flow is {inlet:.4g} mL/s at the first point and {outlet:.4g} mL/s at the "
-            "last: its sign changes along the vessel. Give it the same sign at all points."
-        )

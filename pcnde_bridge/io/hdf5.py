@@ -14,10 +14,10 @@ from pcnde_bridge._utils.files import as_paths, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.units import FACTORS, stated_units
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
-from pcnde_bridge.io.units import FACTORS, stated_units
 from pcnde_bridge.io.vessel_results import VesselResults
 
 _AXES = {

@@ -221,4 +221,5 @@ class Prediction:
             self.z,
             period=self.period,
             labels=labels,
+            check=False,  # a prediction is checked by its inputs
         )

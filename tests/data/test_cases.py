@@ -90,6 +90,7 @@ def test_fingerprint_is_the_same_on_every_machine_and_version():
             [0, 1, 2, 3],
             [0, 1, 2],
             labels={"geometry": [1], "waveform": [2], "name": ["é"], "old": [True], "n": [3]},
+            check=False,
         )
     assert made.fingerprint() == FINGERPRINT
 
@@ -167,6 +168,7 @@ def data_sets(draw):
             draw(st.floats(-10, 10)) + step * np.arange(n_times),
             np.cumsum(rng.uniform(0.1, 1, size=n_points)),
             labels=labels,
+            check=False,
         )
 
 

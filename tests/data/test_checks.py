@@ -120,22 +120,28 @@ def test_time_may_start_anywhere_and_be_stored_in_single_precision(small_cases):
 @pytest.mark.parametrize(
     ("name", "factor", "message"),
     [
-        ("area_undeformed", 100, "area is 0.0105 times area_undeformed"),
-        ("pressure", 1 / 1333.22, r"the largest pressure is .*1 mmHg = 1333\.22 dyn/cm²"),
-        ("pressure", 1e3, "the largest pressure is"),
-        ("flow", 60, "the median of flow / area is .*expected cm/s"),
-        ("flow", 1e-6, "the median of flow / area is .*expected cm/s"),
+        ("area_undeformed", 100, r"the area over the undeformed area is 0\.0105"),
+        ("pressure", 1 / 1333.22, r"the mean pressure is .* with pressure in mmHg: convert"),
+        ("pressure", 1e3, "the mean pressure is .*every combination of known units"),
+        ("pressure", -1, "the mean pressure is -.*relative to the surroundings"),
+        ("flow", 60, "flow over area is .* with flow in mL/min: convert the arrays"),
+        ("flow", 1e-6, "flow over area is .* with flow in m"),
+        ("flow", -1, "case 0: the flow runs against z.*Pass flow=-flow"),
+        ("time", 1e3, "the length of the recording is .* with time in ms"),
     ],
 )
-def test_warns_of_other_units(small_cases, name, factor, message):
+def test_other_units_are_refused(small_cases, name, factor, message):
+    changes = {name: factor * getattr(small_cases, name), "period": None}
+    with pytest.raises(InputError, match=message):
+        Cases(**case_arguments(small_cases, **changes))
     with pytest.warns(UnitsWarning, match=message):
-        Cases(**case_arguments(small_cases, **{name: factor * getattr(small_cases, name)}))
+        Cases(**case_arguments(small_cases, **changes), check=False)
 
 
-@pytest.mark.parametrize(("factor", "what"), [(100, "mm²"), (1e-4, "m²")])
-def test_warns_of_areas_in_other_units(small_cases, factor, what):
+@pytest.mark.parametrize(("factor", "unit"), [(100, r"mm\^2"), (1e-4, r"m\^2")])
+def test_areas_in_other_units_are_refused(small_cases, factor, unit):
     both = {name: factor * getattr(small_cases, name) for name in ("area", "area_undeformed")}
-    with pytest.warns(UnitsWarning, match="check the units"):
+    with pytest.raises(InputError, match=f"does not look like CGS.* with area in {unit}: convert"):
         Cases(**case_arguments(small_cases, **both))
 
 

@@ -15,7 +15,7 @@ def case_data(seed=0):
     rng = np.random.default_rng(seed)
     undeformed = np.broadcast_to(rng.uniform(0.08, 0.12, size=101), (100, 101))
     force = 1e5 * undeformed * rng.uniform(0.9, 1.1, size=(100, 101))
-    flow = rng.uniform(1, 2, size=(100, 101))
+    flow = np.broadcast_to(rng.uniform(1, 2, size=(100, 1)), (100, 101))
     return np.stack([flow, force, undeformed, 1.05 * undeformed, 0 * flow, 0 * flow])
 
 

@@ -1,0 +1,327 @@
+"""Plausibility of vessels: magnitudes, units, and flow along the vessel.
+
+The ranges cover arteries from 0.8 mm to 5 cm in diameter.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
+from pcnde_bridge.errors import InputError
+
+_VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
+
+
+class _Range(NamedTuple):
+    """Usual range of a number that is a product of powers of measured quantities."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    powers: Mapping[str, float]
+    factor: float = 1.0
+
+
+# Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
+# The published volumes grow by half of the difference of the flows; exact solutions have 1.
+_RANGES = (
+    _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, {"pressure": 1}),
+    _Range("the mean flow", " mL/s", 0.01, 250, {"flow": 1}),
+    _Range("the median undeformed area", " cm²", 5e-3, 20, {"area": 1}),
+    _Range("the length of the vessel", " cm", 0.2, 100, {"z": 1}),
+    _Range("the length of the recording", " s", 0.25, 60, {"time": 1}),
+    _Range("the area over the undeformed area", "", 0.6, 1.55, {"ratio": 1, "area": 0}),
+    _Range("flow over area", " cm/s", 1, 100, {"flow": 1, "area": -1}),
+    _Range(
+        "the Reynolds number",
+        "",
+        4,
+        6000,
+        {"flow": 1, "area": -0.5},
+        2 / (math.sqrt(math.pi) * _VISCOSITY),
+    ),
+    _Range(
+        "the length over the diameter",
+        "",
+        2.5,
+        100,
+        {"z": 1, "area": -0.5},
+        math.sqrt(math.pi) / 2,
+    ),
+    _Range(
+        "inflow less outflow, over the growth of the volume,",
+        "",
+        0.4,
+        4,
+        {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1},
+    ),
+)
+_DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
+
+_Bounds = tuple[_Range, float, float]
+
+Sizes = dict[str, Array]
+"""Measured quantities by name, one number for each vessel; NaN is unknown."""
+
+
+def sizes_of(
+    flow: Array, area: Array, pressure: Array, area_undeformed: Array, time: Array, z: Array
+) -> Sizes:
+    """Measure the sizes of vessels.
+
+    Parameters
+    ----------
+    flow, area, pressure : array of shape (case, time, z)
+        Results in any units.
+    area_undeformed : array of shape (case, z)
+        Undeformed areas.
+    time, z : array
+        Time points and points.
+
+    Returns
+    -------
+    dict of str to array of shape (case,)
+        Sizes for :func:`check_units`.
+    """
+    sizes = input_sizes(flow, area_undeformed, float(np.ptp(z)), float(np.ptp(time)))
+    undeformed = area_undeformed[:, None, :]
+    sizes["pressure"] = pressure.mean(axis=(1, 2))
+    sizes["ratio"] = np.median((area / undeformed).mean(axis=1), axis=1)
+    # The other sizes in this product cancel, so that it is measured in their units.
+    sizes["balance"] = _balance(flow, area, time, z) * np.divide(
+        sizes["area"] * sizes["z"], sizes["flow"] * sizes["time"]
+    )
+    return sizes
+
+
+def input_sizes(flow: Array, area_undeformed: Array, length: float, period: float) -> Sizes:
+    """Measure the sizes of a prediction's inputs.
+
+    Parameters
+    ----------
+    flow : array of shape (case, time, ...)
+        Flow rate.
+    area_undeformed : array of shape (case, z)
+        Undeformed area.
+    length, period : float
+        Length of the vessel and of the cycle; NaN if unknown.
+    """
+    mean = np.abs(flow).reshape(len(flow), -1).mean(axis=1)
+    count = len(flow)
+    return {
+        "flow": np.where(mean > 0, mean, np.nan),
+        "area": np.median(area_undeformed, axis=1),
+        "z": np.full(count, length),
+        "time": np.full(count, period),
+    }
+
+
+def _balance(flow: Array, area: Array, time: Array, z: Array) -> Array:
+    """Return the slope of inflow less outflow over the growth of the volume, (case,).
+
+    It is NaN where the two are not clearly related, as with rigid walls.
+    """
+    growth = np.gradient(np.trapezoid(area, z, axis=2), time, axis=1)
+    excess = flow[:, :, 0] - flow[:, :, -1]
+    growth -= growth.mean(axis=1, keepdims=True)
+    excess -= excess.mean(axis=1, keepdims=True)
+    product, growths = (excess * growth).sum(axis=1), (growth**2).sum(axis=1)
+    rounding = 1e-9 * np.abs(flow).max(axis=(1, 2))
+    related = (product > 0.95 * np.linalg.norm(excess, axis=1) * np.sqrt(growths)) & (
+        np.abs(excess).max(axis=1) > rounding
+    )
+    slope: Array = np.full(len(flow), np.nan)
+    np.divide(product, growths, out=slope, where=related & (len(time) >= 8))
+    return slope
+
+
+class Advice(NamedTuple):
+    """How to settle a question about units.
+
+    Attributes
+    ----------
+    state : str
+        Format of the advice to use the units ``{units}``, or ``{flags}`` at the command line.
+    confirm : str
+        Advice for numbers that are right as they are.
+    """
+
+    state: str
+    confirm: str
+
+
+OPTION = Advice("pass units={units} (--units {flags})", "pass units='cgs' (--units cgs)")
+"""Advice where units can be stated by an option."""
+
+CONVERT = Advice("convert the arrays to CGS units", "pass check=False")
+"""Advice where arrays must be in CGS units."""
+
+
+def check_units(
+    sizes: Sizes, stated: Collection[str], advice: Advice, *, unique: bool = False
+) -> None:
+    """Raise if the units are wrong or, with ``unique``, ambiguous.
+
+    Parameters
+    ----------
+    sizes : dict of str to array of shape (case,)
+        Sizes of vessels, taken to be in CGS units.
+    stated : collection of str
+        Quantities whose units are stated; numbers of these alone are not checked.
+    advice : Advice
+        How to settle the question.
+    unique : bool
+        Raise also if the numbers are usual in other units as well.
+
+    Raises
+    ------
+    InputError
+        If a number is unusual; the message suggests the units if only one combination of
+        them makes all numbers usual.
+    """
+    open_ = [name for name in FACTORS if name in sizes and name not in stated]
+    if "pressure" in open_ and (sizes["pressure"] < 0).any():
+        raise InputError(
+            f"the mean pressure is {sizes['pressure'].min():.4g}; pressures must be relative to "
+            f"the surroundings, as blood pressures are. If they are, {advice.confirm}."
+        )
+    bounds = list(_bounds(sizes, open_))
+    right = _usual(bounds, {})
+    if right and not unique:
+        return
+    others = [units for units in _combinations(open_) if units and _usual(bounds, units)]
+    if right and others:
+        raise InputError(
+            "the units are ambiguous: the numbers are usual in CGS units, and with "
+            f"{_listed(others)}. State the units (--units); if they are CGS, {advice.confirm}."
+        )
+    # A volume balance that is off in all units is no matter of units: check_flow looks into it.
+    doubts = [
+        f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
+        f"{usual.low:g} to {usual.high:g}"
+        for usual, low, high in bounds
+        if _unusual(usual, low, high) and (others or "balance" not in usual.powers)
+    ]
+    if not doubts:
+        return
+    if len(others) == 1:
+        units, flags = _stated(others[0])
+        state = advice.state.format(units=units, flags=flags)
+        hint = f"All numbers are usual with {_listed(others)}: {state}"
+    elif others:
+        hint = f"The numbers are usual with {_listed(others)}: state the units (--units)"
+    else:
+        hint = "They are unusual in every combination of known units: correct the numbers"
+    raise InputError(
+        "this does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): "
+        f"{'; '.join(doubts)}. {hint}, or {advice.confirm} if they are right."
+    )
+
+
+def _bounds(sizes: Sizes, open_: Collection[str]) -> Iterator[_Bounds]:
+    """Yield the least and the largest number of the vessels for each range to check."""
+    for usual in _RANGES:
+        names = usual.powers.keys()
+        if names & {*open_} and names <= sizes.keys():
+            powers = [sizes[name] ** power for name, power in usual.powers.items()]
+            values = usual.factor * math.prod(powers)
+            if not np.isnan(values).all():
+                yield usual, float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def _combinations(names: Collection[str]) -> Iterator[dict[str, str]]:
+    """Yield all combinations of units, by the quantities that are not in CGS."""
+    choices = []
+    for name in names:
+        # Of units with the same factor, such as mL/s and cm^3/s, the first one is used.
+        units = {factor: unit for unit, factor in reversed(list(FACTORS[name].items()))}
+        choices.append([(name, unit) for unit in units.values()])
+    for combination in itertools.product(*choices):
+        yield {name: unit for name, unit in combination if FACTORS[name][unit] != 1}
+
+
+def _usual(bounds: Iterable[_Bounds], units: Mapping[str, str]) -> bool:
+    """Return whether all numbers are usual if the quantities have these units."""
+    for usual, low, high in bounds:
+        powers = (FACTORS[n][unit] ** usual.powers.get(n, 0) for n, unit in units.items())
+        factor = math.prod(powers)
+        if _unusual(usual, low * factor, high * factor):
+            return False
+    return True
+
+
+def _unusual(usual: _Range, low: float, high: float) -> bool:
+    return low < usual.low or high > usual.high
+
+
+def _stated(units: Mapping[str, str]) -> tuple[str, str]:
+    """Return units as Python and as the command line state them."""
+    for name, system in SYSTEMS.items():
+        if factors_to_cgs(system) == factors_to_cgs(units):
+            return repr(name), name
+    return str(units), ",".join(f"{name}={unit}" for name, unit in units.items())
+
+
+def _listed(readings: Sequence[Mapping[str, str]]) -> str:
+    """Describe combinations of units, the first three of them."""
+    shown = [", ".join(f"{n} in {u}" for n, u in units.items()) for units in readings[:3]]
+    more = f", or {len(readings) - 3} other combinations" if readings[3:] else ""
+    return f"{', or '.join(shown)}{more}"
+
+
+def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
+    """Raise if the mean flow runs against z, or is not the same all along the vessel.
+
+    Parameters
+    ----------
+    flow, area : array of shape (time, z)
+        Flow rate, mL/s, and area, cm², of one vessel over one cycle.
+    z : array of shape (z,)
+        Points, cm.
+    flip : str
+        Advice for a flow that runs against z.
+
+    Raises
+    ------
+    InputError
+        If the flow is not that of one vessel; the message names the place.
+    """
+    mean, scale = flow.mean(axis=0), float(np.abs(flow).mean())
+    tolerance = _DRIFT * scale
+    inlet, middle = float(mean[0]), float(np.median(mean))
+    if np.ptp(mean) <= tolerance:
+        if middle < -1e-3 * scale:
+            raise InputError(
+                f"the flow runs against z, its mean is {inlet:.4g} mL/s at the first point. {flip}"
+            )
+        return
+    worst = int(np.abs(mean - (inlet if abs(inlet - middle) <= tolerance / 2 else middle)).argmax())
+    candidates = (
+        (np.abs(flow).mean(axis=0), "its sign changes along the vessel: give it one sign"),
+        ((flow * area).mean(axis=0), "flow × area is constant: these are velocities, not flows"),
+        (mean[1:-1], "it differs at the ends alone: leave out the end points"),
+        (flow.mean(axis=1) if flow.shape[0] == flow.shape[1] else mean, "transpose"),
+    )
+    advice = "Leave out branches, or give the part of one vessel without them."
+    for values, why in candidates:
+        if np.ptp(values) <= _DRIFT * np.abs(values).mean():
+            advice = f"Probably {why}."
+            if why == "transpose":
+                advice = (
+                    "The arrays look transposed, (z, time) in place of (time, z): exchange their "
+                    "last two axes, np.swapaxes(array, -1, -2)."
+                )
+            break
+    raise InputError(
+        f"the mean flow changes along the vessel: {middle:.4g} mL/s in the middle of its range, "
+        f"but {mean[worst]:.4g} mL/s at z = {z[worst]:.4g} cm (point {worst}); at most "
+        f"{_DRIFT:.0%} is what averaging leaves. {advice}"
+    )

@@ -1,0 +1,68 @@
+"""Known units and their conversion to CGS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pcnde_bridge.errors import InputError
+
+FACTORS: Mapping[str, Mapping[str, float]] = {
+    "flow": {
+        "mL/s": 1.0,
+        "cm^3/s": 1.0,
+        "mm^3/s": 1e-3,
+        "m^3/s": 1e6,
+        "mL/min": 1 / 60,
+        "L/min": 1e3 / 60,
+    },
+    "area": {"cm^2": 1.0, "mm^2": 1e-2, "m^2": 1e4},
+    "pressure": {"dyn/cm^2": 1.0, "Pa": 10.0, "kPa": 1e4, "mmHg": 1333.22},
+    "z": {"cm": 1.0, "mm": 0.1, "m": 100.0},
+    "time": {"s": 1.0, "ms": 1e-3},
+}
+"""Known units of each quantity and their factors to CGS (cm, s, mL/s, cm², dyn/cm²)."""
+
+SYSTEMS: Mapping[str, Mapping[str, str]] = {
+    "cgs": {"flow": "mL/s", "area": "cm^2", "pressure": "dyn/cm^2", "z": "cm", "time": "s"},
+    "mm-g-s": {"flow": "mm^3/s", "area": "mm^2", "pressure": "Pa", "z": "mm", "time": "s"},
+    "si": {"flow": "m^3/s", "area": "m^2", "pressure": "Pa", "z": "m", "time": "s"},
+}
+"""Systems of units by name."""
+
+
+def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
+    """Return the units that the caller states, by quantity.
+
+    Parameters
+    ----------
+    units : str, mapping or None
+        Name of a system of units, or units by quantity.
+
+    Raises
+    ------
+    InputError
+        If the system, a quantity or a unit is unknown.
+    """
+    if units is None:
+        return {}
+    if isinstance(units, str):
+        if units not in SYSTEMS:
+            raise InputError(
+                f"Unknown units {units!r}; give one of {sorted(SYSTEMS)}, or a mapping such as "
+                "{'pressure': 'mmHg'}."
+            )
+        return dict(SYSTEMS[units])
+    if not isinstance(units, Mapping):
+        raise InputError(f"units must be a name or a mapping, got {units!r}.")
+    for name, unit in units.items():
+        if name not in FACTORS:
+            raise InputError(f"units names {name!r}; it can name {sorted(FACTORS)}.")
+        if unit not in FACTORS[name]:
+            raise InputError(f"Unknown unit {unit!r} of {name}; known are {list(FACTORS[name])}.")
+    return dict(units)
+
+
+def factors_to_cgs(units: Mapping[str, str]) -> dict[str, float]:
+    """Return the factor to CGS of every quantity; quantities without a unit are in CGS."""
+    unit = {**SYSTEMS["cgs"], **units}
+    return {name: FACTORS[name][unit[name]] for name in FACTORS}
