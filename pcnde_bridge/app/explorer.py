@@ -152,6 +152,7 @@ class Explorer:
             inputs.waveform.samples(grid.time.size),
             inputs.vessel.area_undeformed(grid.z - grid.z[0]),
             samples=samples,
+            units="cgs",
             **place,
         )
 

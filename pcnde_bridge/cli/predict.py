@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pandas as pd
 import typer
@@ -118,12 +118,12 @@ def predict(
     def named(prediction: Prediction) -> Prediction:
         return replace(prediction, labels=given.name_labels(prediction.labels))
 
-    files = [out]
+    files, options = [out], dict[str, Any]()
     if suffix == ".csv":
         if isinstance(fitted, PCNDE):
             batch, options = _IN_MEMORY // (1 + samples), {"samples": samples}
         else:  # the members are the samples
-            batch, options = _IN_MEMORY // (1 + len(fitted.members)), {}
+            batch = _IN_MEMORY // (1 + len(fitted.members))
         batches = fitted.predict_batches(q, s_u, batch=max(1, batch), **given.where, **options)
         count = save_csv(map(named, batches), out)
     else:

@@ -116,7 +116,8 @@ def to_cases(
             vessel = _flipped(_in_cgs(given, stated), flip)
             _check_units(vessel, known | set(given.units))
             vessel = one_cycle(vessel, period)
-            check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
+            if not vessel.predicted:
+                check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
             vessel = on_time_points(vessel, time_points)
             vessels.append(on_points(vessel, points))
     first = vessels[0]

@@ -22,7 +22,8 @@ from pcnde_bridge.io.predicted import Predicted
 LABEL_PREFIX = "labels/"
 """Beginning of the names of field data that are labels of a case."""
 
-_WRITER = "pcnde_bridge"  # name of the array that marks files of this package
+WRITER = "pcnde_bridge"
+"""Name of the array that marks files of this package."""
 
 
 def write_vtp(prediction: Predicted, path: StrPath) -> list[Path]:
@@ -117,7 +118,7 @@ def _write_all(contents: Mapping[Path, bytes], folder: Path, earlier: str) -> li
         if path.name in written or not re.fullmatch(earlier, path.name):
             continue
         try:
-            if f'Name="{_WRITER}"'.encode() in path.read_bytes():
+            if f'Name="{WRITER}"'.encode() in path.read_bytes():
                 path.unlink()
         except OSError as error:
             raise FileError(f"Cannot remove {path} of an earlier prediction: {error}.") from error
@@ -143,7 +144,7 @@ def _vtp(prediction: Predicted, case: int, step: int | None) -> bytes:
         data.GetPointData().AddArray(array)
     labels = prediction.labels.iloc[case].items()
     facts = {f"{LABEL_PREFIX}{name}": value for name, value in labels}
-    for name, value in {"period": prediction.period, _WRITER: __version__, **facts}.items():
+    for name, value in {"period": prediction.period, WRITER: __version__, **facts}.items():
         if isinstance(value, str):
             array = core.vtkStringArray()
             array.InsertNextValue(value)

@@ -24,7 +24,7 @@ from pcnde_bridge._utils.validation import naming, positive
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
-from pcnde_bridge.io.centerlines import LABEL_PREFIX
+from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER
 from pcnde_bridge.io.vessel_results import VesselResults
 from pcnde_bridge.io.vtp import Lines, read_lines
 
@@ -127,6 +127,7 @@ class _Centerline:
                 if fact.startswith(LABEL_PREFIX)
             },
             period=None if isinstance(period, str) else period,
+            predicted=WRITER in self._facts,
         )
 
     def _ordered_points(self, branch: int | None) -> _Positions:

@@ -31,6 +31,8 @@ class VesselResults:
         Units stated in the file, by ``flow``, ``area``, ``pressure``, ``z`` and ``time``.
     period : float or None
         Length of the cycle, if the file states it.
+    predicted : bool
+        Whether a model of this package predicted them: its flow may change along the vessel.
     """
 
     name: str
@@ -43,6 +45,7 @@ class VesselResults:
     labels: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     period: float | None = None
+    predicted: bool = False
 
     def variables(self) -> dict[str, Array]:
         """Return flow, area and pressure by name."""

@@ -178,12 +178,13 @@ class Ensemble(Predictor):
         *,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
     ) -> Prediction:
         """Predict flow, area and pressure, with their uncertainty.
 
         Parameters
         ----------
-        inflow, area_undeformed, z, period
+        inflow, area_undeformed, z, period, units
             See :meth:`PCNDE.predict`.
 
         Returns
@@ -203,7 +204,7 @@ class Ensemble(Predictor):
         InputError, SolveError
             See :meth:`PCNDE.predict`.
         """
-        return self._solve(prepare(self, inflow, area_undeformed, z, period, warn=True))
+        return self._solve(prepare(self, inflow, area_undeformed, z, period, units, warn=True))
 
     def predict_batches(
         self,
@@ -213,6 +214,7 @@ class Ensemble(Predictor):
         batch: int = 64,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
     ) -> Iterator[Prediction]:
         """Predict as :meth:`predict` does, batch by batch.
 
@@ -220,7 +222,7 @@ class Ensemble(Predictor):
 
         Parameters
         ----------
-        inflow, area_undeformed, batch, z, period
+        inflow, area_undeformed, batch, z, period, units
             See :meth:`PCNDE.predict_batches`.
 
         Returns
@@ -239,7 +241,7 @@ class Ensemble(Predictor):
             See :meth:`PCNDE.predict_batches`.
         """
         batch = whole("batch", batch, 1)
-        inputs = prepare(self, inflow, area_undeformed, z, period, warn=True)
+        inputs = prepare(self, inflow, area_undeformed, z, period, units, warn=True)
         return in_batches(self, inputs, batch)
 
     def _solve(self, inputs: Inputs) -> Prediction:

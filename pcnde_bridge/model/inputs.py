@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,9 +19,13 @@ from pcnde_bridge._utils.validation import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
+from pcnde_bridge.data.plausibility import OPTION, check_units, input_sizes
+from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.uncertainty.sampling import RandomNumbers
+
+AreaScore = Callable[[Array], Array]
 
 # pandas takes longer to create this index than an engine to predict a case.
 _CASE = pd.Index(["case"])
@@ -80,6 +85,7 @@ def inputs_from_arrays(
     area_undeformed: npt.ArrayLike | None,
     z: npt.ArrayLike | None,
     period: float | None,
+    units: str | Mapping[str, str] | None,
     trained: Grid,
     any_grid: bool,
 ) -> Inputs:
@@ -87,7 +93,7 @@ def inputs_from_arrays(
 
     Parameters
     ----------
-    inflow, area_undeformed, z, period
+    inflow, area_undeformed, z, period, units
         Arguments of :meth:`pcnde_bridge.PCNDE.predict`.
     trained : Grid
         Grid of the training cases.
@@ -101,7 +107,8 @@ def inputs_from_arrays(
     """
     if area_undeformed is None:
         raise InputError("predict needs area_undeformed beside the inflow.")
-    grid = _grid(inflow, z, period, trained, any_grid)
+    factor = factors_to_cgs(stated_units(units))
+    grid = _grid(inflow, z, period, factor, trained, any_grid)
     q = _rows("inflow", inflow, grid.time.size, "time points")
     s_u = _rows("area_undeformed", area_undeformed, grid.z.size, "points")
     check_values("area_undeformed", s_u, s_u <= 0, "areas must be positive (cm²)")
@@ -111,14 +118,53 @@ def inputs_from_arrays(
             f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give equal numbers of "
             "both, or one of either."
         )
+    q *= factor["flow"]
+    s_u *= factor["area"]
     q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
     return Inputs(q, s_u, grid, _numbered(0, count))
+
+
+def check_plausible(inputs: Inputs, stated: Collection[str], score: AreaScore | None) -> None:
+    """Raise if inputs outside the training data are implausible in CGS units.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        The inputs of these cases.
+    stated : collection of str
+        Quantities whose units are known.
+    score : callable or None
+        Distance from the training data of undeformed areas of shape (case, z), cm².
+
+    Raises
+    ------
+    InputError
+        If the mean inflow is negative, the units are wrong or ambiguous, or radii or
+        diameters are given as areas.
+    """
+    mean = inputs.inflow.mean(axis=1)
+    backward = mean < -1e-3 * np.abs(inputs.inflow).max(axis=1)
+    rule = "the cycle's mean inflow must not be negative: flow into the vessel is positive (mL/s)"
+    check_values("the mean of inflow", mean, backward, rule)
+    grid, area = inputs.grid, inputs.area_undeformed
+    sizes = input_sizes(inputs.inflow, area, float(np.ptp(grid.z)), grid.period)
+    check_units(sizes, stated, OPTION, unique=True)
+    if score is None or "area" in stated:
+        return
+    found = score(area)
+    for name, factor in (("radii", np.pi), ("diameters", np.pi / 4)):
+        if (score(factor * area**2) < found / 4).all() and (found > 1).all():
+            raise InputError(
+                f"area_undeformed looks like {name}: {factor:.4g} times their squares are much "
+                "nearer to the training data. Give areas, cm², or pass units='cgs' (--units cgs)."
+            )
 
 
 def _grid(
     inflow: npt.ArrayLike,
     z: npt.ArrayLike | None,
     period: float | None,
+    factor: Mapping[str, float],
     trained: Grid,
     any_grid: bool,
 ) -> Grid:
@@ -133,10 +179,10 @@ def _grid(
     n_times = shape[-1] if shape else 0
     points: Array = trained.z
     if z is not None:
-        points = _rows("z", z, np.size(z), "points")[0]
+        points = factor["z"] * _rows("z", z, np.size(z), "points")[0]
         check_increasing("z", points, "cm")
     check_resolution(n_times, points.size)
-    cycle = trained.period if period is None else positive("period", period, "s")
+    cycle = trained.period if period is None else factor["time"] * positive("period", period)
     time = trained.time[0] + np.arange(float(n_times)) * (cycle / n_times)
     return Grid(time, points, cycle)
 

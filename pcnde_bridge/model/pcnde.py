@@ -211,6 +211,7 @@ class PCNDE(Predictor):
         *,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
         samples: int = 0,
         seed: int = 0,
     ) -> Prediction:
@@ -229,6 +230,10 @@ class PCNDE(Predictor):
             Axial positions, cm, if they differ from the model's (preset ``physics``).
         period : float, optional
             Period, s, if it differs from the model's (preset ``physics``).
+        units : str or mapping, optional
+            ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
+            ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
+            data are rejected if they are unusual, or usual in other units as well.
         samples : int
             Number of samples (preset ``physics``), 0 or at least 2, for the result's
             ``samples``, ``standard_deviation()`` and ``interval()``.  They need the
@@ -251,11 +256,11 @@ class PCNDE(Predictor):
         Raises
         ------
         InputError
-            If a shape, the grid or a value is not usable.
+            If a shape, the grid or a value is not usable, or the units are ambiguous.
         SolveError
             If the equations diverge for an input.
         """
-        given = inflow, area_undeformed, z, period
+        given = inflow, area_undeformed, z, period, units
         return self._solve(prepare(self, *given, samples, seed, warn=True))
 
     def predict_batches(
@@ -266,6 +271,7 @@ class PCNDE(Predictor):
         batch: int = 256,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
         samples: int = 0,
         seed: int = 0,
     ) -> Iterator[Prediction]:
@@ -277,7 +283,7 @@ class PCNDE(Predictor):
 
         Parameters
         ----------
-        inflow, area_undeformed, z, period, samples, seed
+        inflow, area_undeformed, z, period, units, samples, seed
             See :meth:`predict`; the samples are the same.
         batch : int
             Number of cases in each prediction; the last may have fewer.
@@ -306,7 +312,7 @@ class PCNDE(Predictor):
         >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
         ...     highest.append(part.pressure.max(axis=(1, 2)))
         """
-        batch, given = whole("batch", batch, 1), (inflow, area_undeformed, z, period)
+        batch, given = whole("batch", batch, 1), (inflow, area_undeformed, z, period, units)
         return in_batches(self, prepare(self, *given, samples, seed, warn=True), batch)
 
     def _solve(self, inputs: Inputs) -> Prediction:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +16,10 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.units import SYSTEMS
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.model.inputs import Inputs, inputs_from_arrays, inputs_from_cases
+from pcnde_bridge.model.inputs import Inputs, check_plausible, inputs_from_arrays, inputs_from_cases
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.metrics import error_table
 from pcnde_bridge.model.prediction import Prediction
@@ -141,6 +142,7 @@ def prepare(
     area_undeformed: npt.ArrayLike | None = None,
     z: npt.ArrayLike | None = None,
     period: float | None = None,
+    units: str | Mapping[str, str] | None = None,
     samples: int = 0,
     seed: int = 0,
     *,
@@ -152,19 +154,24 @@ def prepare(
     of extrapolation; the warning is attributed to the caller of the calling method.
     """
     if isinstance(inflow, Cases):
-        if area_undeformed is not None or z is not None or period is not None:
+        if any(given is not None for given in (area_undeformed, z, period, units)):
             raise InputError("Give cases, or inflow and area_undeformed, not both.")
         model.check_grid(inflow)
         inputs = inputs_from_cases(inflow)
     else:
-        given = inflow, area_undeformed, z, period
+        given = inflow, area_undeformed, z, period, units
         inputs = inputs_from_arrays(*given, model.grid, model.any_grid)
     random = _random_numbers(model.uncertainty, samples, seed, len(inputs))
     scores = model.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
-    if not scores:
+    novelty = np.max(list(scores.values()), axis=0) if scores else None
+    beyond = np.ones(len(inputs), dtype=bool) if novelty is None else novelty > EDGE
+    outside = int(beyond.sum())
+    if outside and not isinstance(inflow, Cases):
+        known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(units or ())
+        known |= {name for name, given in (("z", z), ("time", period)) if given is None}
+        _check_plausible(model, inputs, beyond, known)
+    if novelty is None:
         return replace(inputs, random=random)
-    novelty = np.max(list(scores.values()), axis=0)
-    outside = int((novelty > EDGE).sum())
     if warn and outside:
         worst = int(novelty.argmax())
         farthest = max(scores, key=lambda name: float(scores[name][worst]))
@@ -176,6 +183,20 @@ def prepare(
             stacklevel=3,
         )
     return replace(inputs, random=random, novelty=novelty)
+
+
+def _check_plausible(
+    model: Predictor, inputs: Inputs, chosen: npt.NDArray[np.bool_], known: set[str]
+) -> None:
+    """Check the units of chosen cases, those outside the training data."""
+    few = replace(
+        inputs,
+        inflow=inputs.inflow[chosen],
+        area_undeformed=inputs.area_undeformed[chosen],
+    )
+    novelty = model.novelty
+    score = None if novelty is None else lambda area: novelty.score(few.inflow, area, few.grid.z)[1]
+    check_plausible(few, known, score)
 
 
 def in_batches(model: Predictor, inputs: Inputs, batch: int) -> Iterator[Prediction]:

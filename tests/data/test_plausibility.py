@@ -130,7 +130,7 @@ def test_the_volume_balance_tells_lengths_apart():
     fields = artery(0.4, 10.0, 33.0, 1.0, 1.3e5)
     check_units(sizes_of(**fields), (), OPTION, unique=True)
     rigid = artery(0.4, 10.0, 33.0, 1.0, 1.3e5, rigid=True)
-    with pytest.raises(InputError, match="ambiguous: .* in CGS units, and with z in mm"):
+    with pytest.raises(InputError, match=r"ambiguous: .* in CGS units, and with z in mm"):
         check_units(sizes_of(**rigid), (), OPTION, unique=True)
     check_units(sizes_of(**rigid), ("z",), OPTION, unique=True)
 
