@@ -17,7 +17,8 @@ from typing import Any
 from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
 # Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
-_LARGEST_UNPACKED, _LARGEST_RATIO = 1 << 28, 100
+# Contents are copied several times on their way into a data set.
+_LARGEST_UNPACKED, _LARGEST_RATIO = 1 << 25, 4
 
 
 @contextlib.contextmanager
@@ -243,10 +244,34 @@ def check_claim(claimed: int, stored: int) -> None:
     Raises
     ------
     ValueError
-        If they are more than 256 MiB and more than a hundred times the file.
+        If they are more than 32 MiB and more than four times the file.
     """
     if claimed > max(_LARGEST_UNPACKED, _LARGEST_RATIO * stored):
         raise ValueError(f"it claims {claimed} bytes in a file of {stored}")
+
+
+class Budget:
+    """Memory that the contents of one file may take, see :func:`check_claim`.
+
+    Parameters
+    ----------
+    stored : int
+        Bytes of the file.
+    """
+
+    def __init__(self, stored: int) -> None:
+        self._stored, self._claimed = stored, 0
+
+    def claim(self, count: int) -> None:
+        """Add a number of bytes, before memory is allocated for them.
+
+        Raises
+        ------
+        ValueError
+            If all claims together are too large for the file.
+        """
+        self._claimed += count
+        check_claim(self._claimed, self._stored)
 
 
 def check_members(archive: zipfile.ZipFile, stored: int) -> None:

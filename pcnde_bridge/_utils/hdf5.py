@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pcnde_bridge._typing import AnyArray
-from pcnde_bridge._utils.files import check_claim
+from pcnde_bridge._utils.files import Budget
+
+_MOST_LINKS = 64
 
 
-def read_dataset(group: Any, name: str) -> AnyArray | None:
+def read_dataset(group: Any, name: str, budget: Budget | None = None) -> AnyArray | None:
     """Read a data set that is stored in the file itself and has a plausible size.
 
     Parameters
     ----------
-    group : h5py.File or h5py.Group
-        Group of an open file.
+    group : h5py.File
+        Open file.
     name : str
         Path of the data set.
+    budget : Budget, optional
+        Memory that all data sets of the file may take.
 
     Returns
     -------
@@ -33,18 +38,35 @@ def read_dataset(group: Any, name: str) -> AnyArray | None:
     """
     import h5py
 
-    at = group
-    for part in name.strip("/").split("/"):
-        if not isinstance(at, h5py.Group):
-            return None
-        if isinstance(at.get(part, getlink=True), h5py.ExternalLink):
-            raise ValueError(f"{name} is stored in another file; external links are not followed")
-        at = at.get(part)
+    at = _found(group, name)
     if not isinstance(at, h5py.Dataset):
         return None
     if at.external or at.is_virtual:
         raise ValueError(f"{name} is stored in another file; external links are not followed")
-    check_claim(at.nbytes, Path(group.file.filename).stat().st_size)
+    # Numbers become 8 bytes each; a whole chunk is unpacked for each value.
+    budget = budget or Budget(Path(group.file.filename).stat().st_size)
+    budget.claim(at.size * max(at.dtype.itemsize, 8))
+    budget.claim(math.prod(at.chunks or ()) * at.dtype.itemsize)
     if h5py.check_string_dtype(at.dtype) is not None:
         return np.asarray(at.asstr("utf-8")[()], dtype=np.str_)
     return np.asarray(at[()])
+
+
+def _found(file: Any, name: str) -> Any:
+    """Return the object at a path, through soft links but never out of the file."""
+    import h5py
+
+    at, parts = file, name.strip("/").split("/")
+    for _ in range(_MOST_LINKS):
+        if not parts or not isinstance(at, h5py.Group):
+            return None if parts else at
+        part = parts.pop(0)
+        link = at.get(part, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise ValueError(f"{name} is stored in another file; external links are not followed")
+        if isinstance(link, h5py.SoftLink):
+            at = file if link.path.startswith("/") else at
+            parts = [*link.path.strip("/").split("/"), *parts]
+        else:
+            at = at.get(part)
+    raise ValueError(f"{name} is reached by too many links")

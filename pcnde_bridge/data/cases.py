@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,13 +15,13 @@ from numpy.typing import ArrayLike
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge._utils.checksum import sha256_arrays
 from pcnde_bridge._utils.validation import counted
-from pcnde_bridge.data.checks import UnitsWarning, check_arrays, check_plausible, check_time
+from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions, split_positions
 from pcnde_bridge.data.variables import UNITS
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import FileError
 
 _LABELS = "labels/"  # prefix of the labels' names among the arrays
 
@@ -64,7 +63,7 @@ class Cases:
         counts the cases from 0 and ``waveform`` is 0.
 
     check : bool
-        Refuse implausible data.  If False, they give a warning.
+        Refuse implausible data.  If False, implausible magnitudes give a warning only.
 
     Raises
     ------
@@ -76,7 +75,7 @@ class Cases:
     Warns
     -----
     UnitsWarning
-        If the values are implausible and ``check`` is False.
+        If magnitudes are implausible and ``check`` is False.
     """
 
     flow: Array
@@ -106,12 +105,7 @@ class Cases:
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
         self._fill(arrays, cycle, table)
-        try:
-            check_plausible(arrays)
-        except InputError as error:
-            if check:
-                raise
-            warnings.warn(str(error), UnitsWarning, stacklevel=2)
+        check_plausible(arrays, strict=check)
 
     def _fill(self, arrays: Mapping[str, Array], period: float, labels: pd.DataFrame) -> None:
         """Set the fields, once."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -107,8 +108,15 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
     )
 
 
-def check_plausible(arrays: Mapping[str, Array]) -> None:
+def check_plausible(arrays: Mapping[str, Array], *, strict: bool) -> None:
     """Raise unless the arrays of a data set are plausible for single vessels in CGS units.
+
+    Parameters
+    ----------
+    arrays : mapping of str to array
+        Checked arrays of a data set.
+    strict : bool
+        If False, warn of magnitudes, and accept any flow.
 
     Raises
     ------
@@ -116,7 +124,13 @@ def check_plausible(arrays: Mapping[str, Array]) -> None:
         If magnitudes, or the flow along a vessel, are implausible; see
         :mod:`pcnde_bridge.data.plausibility`.
     """
-    check_units(sizes_of(**arrays), (), CONVERT)
-    for case, (flow, area) in enumerate(zip(arrays["flow"], arrays["area"], strict=True)):
-        with naming(f"case {case}"):
-            check_flow(flow, area, arrays["z"], "Pass flow=-flow, or reverse the points.")
+    try:
+        check_units(sizes_of(**arrays), (), CONVERT)
+    except InputError as error:
+        if strict:
+            raise
+        warnings.warn(str(error), UnitsWarning, stacklevel=3)
+    if strict:
+        for case, (flow, area) in enumerate(zip(arrays["flow"], arrays["area"], strict=True)):
+            with naming(f"case {case}"):
+                check_flow(flow, area, arrays["z"], "Pass flow=-flow, or reverse the points.")

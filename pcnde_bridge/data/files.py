@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import AnyArray
-from pcnde_bridge._utils.files import atomic_write, check_members, reading
+from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.variables import UNITS, VARIABLES
@@ -136,7 +136,8 @@ def _read_h5(path: Path) -> dict[str, AnyArray]:
         }
         _check_header(path, header)
         names = [*file, *(f"labels/{name}" for name in file["labels"])]
-        found = {name: read_dataset(file, name) for name in names}
+        budget = Budget(path.stat().st_size)
+        found = {name: read_dataset(file, name, budget) for name in names}
         contents = {name: values for name, values in found.items() if values is not None}
         if "fingerprint" in header:
             contents["fingerprint"] = np.array(header["fingerprint"])

@@ -10,10 +10,11 @@ from typing import Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._utils.files import as_paths, reading
+from pcnde_bridge._utils.files import Budget, as_paths, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.files import FORMAT
 from pcnde_bridge.data.units import FACTORS, stated_units
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
@@ -72,7 +73,10 @@ def read_hdf5(
     for path in as_paths(paths):
         with naming(path):
             vessels += _read(path, places, stated)
-    return to_cases(vessels, **options)
+    cases = to_cases(vessels, **options)
+    for path in as_paths(paths):
+        _check_own(path)
+    return cases
 
 
 def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[VesselResults]:
@@ -82,14 +86,15 @@ def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[Vesse
     labels: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        budget = Budget(path.stat().st_size)
         for name in (*NAMES, "period"):
             place = places.get(name, name)
-            if (values := read_dataset(file, place)) is not None:
+            if (values := read_dataset(file, place, budget)) is not None:
                 arrays[name] = values
                 units[name] = _text(file[place].attrs.get("units", ""))
         group = file.get("labels")
         for name in group if isinstance(group, h5py.Group) else ():
-            if (values := read_dataset(file, f"labels/{name}")) is not None:
+            if (values := read_dataset(file, f"labels/{name}", budget)) is not None:
                 labels[name] = values
     if absent := [name for name in NAMES if name not in arrays]:
         raise InputError(
@@ -97,6 +102,16 @@ def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[Vesse
             f"{absent[0]}=path)."
         )
     return _vessels(path, arrays, labels, _known_units(units, stated))
+
+
+def _check_own(path: Path) -> None:
+    """Compare the checksum of a file that this package wrote."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        ours = _text(file.attrs.get("format", "")) == FORMAT
+    if ours:
+        Cases.load(path)
 
 
 def _text(attribute: Any) -> str:

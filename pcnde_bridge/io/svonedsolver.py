@@ -9,6 +9,7 @@ time step, the start included.  Lengths, areas and the time step are in the inpu
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
@@ -35,6 +36,20 @@ class _Segment(NamedTuple):
     inlet_area: float
     outlet_area: float
 
+    def area(self) -> Array:
+        """Return the undeformed area at the nodes; the radius is linear between the ends."""
+        growth = math.sqrt(self.outlet_area / self.inlet_area) - 1
+        return self.inlet_area * (1 + growth * np.linspace(0.0, 1.0, self.elements + 1)) ** 2
+
+
+class _Input(NamedTuple):
+    """Input file: name of the model, segments, time between saves (s), number of saves."""
+
+    model: str
+    segments: dict[str, _Segment]
+    step: float
+    saves: int
+
 
 def read_sv1d(
     paths: Paths, *, segments: str | Sequence[str] | None = None, **options: Unpack[CaseOptions]
@@ -57,7 +72,7 @@ def read_sv1d(
     Returns
     -------
     Cases
-        The undeformed area is that of the input file, linear along each segment.
+        The undeformed area is that of the input file; its radius is linear along each segment.
 
     Raises
     ------
@@ -79,23 +94,22 @@ def read_sv1d(
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
-    model, known, step = _read_input(path)
+    given = _read_input(path)
     parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "area_undeformed", "z")}
-    start, n_steps = 0.0, None
-    for number, segment in enumerate(_chain(path, known, wanted)):
+    start = 0.0
+    for number, segment in enumerate(_chain(path, given.segments, wanted)):
         nodes = segment.elements + 1
         arrays = {
             "z": start + np.linspace(0.0, segment.length, nodes),
-            "area_undeformed": np.linspace(segment.inlet_area, segment.outlet_area, nodes),
+            "area_undeformed": segment.area(),
         }
         for name in VARIABLES:
-            file = path.parent / f"{model}{segment.name}_{name}.dat"
+            file = path.parent / f"{given.model}{segment.name}_{name}.dat"
             arrays[name] = table = _read_table(file, nodes)
-            n_steps = n_steps or table.shape[1]
-            if table.shape[1] != n_steps:
+            if table.shape[1] != given.saves:
                 raise FileError(
-                    f"{file} has {table.shape[1]} time steps, the files before {n_steps}: it is "
-                    "truncated, or of another run."
+                    f"{file} has {table.shape[1]} time steps, but its input file saves "
+                    f"{given.saves}: it is truncated, or of another run."
                 )
         # The first node of a segment is the last one of the segment before.
         first = 0 if number == 0 else 1
@@ -108,34 +122,36 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
         str(path),
         **fields,
         area_undeformed=joined["area_undeformed"],
-        time=step * np.arange(joined["flow"].shape[1], dtype=np.float64),
+        time=given.step * np.arange(joined["flow"].shape[1], dtype=np.float64),
         z=joined["z"],
     )
 
 
-def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
-    """Return the model's name, its segments, and the time between saved steps."""
+def _read_input(path: Path) -> _Input:
+    """Read an input file; its keywords have any case, and commas separate as blanks do."""
     with reading(path, "the solver's input file (.in)"):
         # Comments have any encoding, and some editors put a mark before UTF-8.
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    model, step = None, None
+    model, step, saves = None, None, 0
     segments: dict[str, _Segment] = {}
     for number, line in enumerate(lines, start=1):
         try:
-            match line.partition("#")[0].split():
+            match _words(line):
                 case ["MODEL", name, *_]:
                     model = name
-                case ["SOLVEROPTIONS", time_step, every, *_]:
-                    step = float(time_step) * int(every)
+                case ["SOLVEROPTIONS", time_step, every, steps, *_]:
+                    step, saves = float(time_step) * int(every), 1 + int(steps) // int(every)
                 case ["SEGMENT", name, _, length, elements, inlet, outlet, first, last, *_]:
                     areas = float(first), float(last)
                     segment = _Segment(name, float(length), int(elements), inlet, outlet, *areas)
                     if name in segments or segment.elements < 1 or not segment.length > 0:
                         raise ValueError("it is repeated, or has no length or no elements")
+                    if not min(areas) > 0:
+                        raise ValueError("its areas must be positive")
                     segments[name] = segment
                 case ["MODEL" | "SOLVEROPTIONS" | "SEGMENT", *_]:
                     raise ValueError("it is incomplete")
-        except ValueError as error:
+        except (ValueError, ZeroDivisionError) as error:
             raise FileError(
                 f"{path}, line {number}: {line[:60]!r} is not a line of svOneDSolver's input "
                 f"({error})."
@@ -147,10 +163,21 @@ def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float]:
         )
     if not step > 0:
         raise FileError(f"{path}: SOLVEROPTIONS gives steps of {step:g} s.")
+    if saves < 4:
+        raise InputError(
+            f"{path} saves {saves} time points, and a cycle needs at least 4. Save more often: the "
+            "second number of SOLVEROPTIONS is the number of steps between saves."
+        )
     for name in (model, *segments):
         if Path(name).name != name or name.startswith("."):
             raise FileError(f"{path}: the name {name!r} leads out of the file's folder.")
-    return model, segments, step
+    return _Input(model, segments, step, saves)
+
+
+def _words(line: str) -> list[str]:
+    """Return the words of a line without its comment, the first in capitals."""
+    words = line.partition("#")[0].replace(",", " ").split()
+    return [words[0].upper(), *words[1:]] if words else []
 
 
 def _chain(path: Path, known: dict[str, _Segment], wanted: Sequence[str] | None) -> list[_Segment]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import csv
 import gzip
 import itertools
+import lzma
 import re
 import zlib
 from collections.abc import Collection, Iterable, Sequence
@@ -16,12 +18,14 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._utils.files import Budget, reading
 from pcnde_bridge.errors import FileError, InputError
 
 # Before version 3.1 pandas rounds one number in six to a neighbor by default; from then on the
 # option is deprecated.
 _OLD_PANDAS = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _OLD_PANDAS else {}
+_COMPRESSED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _UNREADABLE = (OSError, ValueError, EOFError, zlib.error, csv.Error)
 _LARGEST = np.iinfo(np.int64).max
 _DECIMAL = re.compile(r"-?(inf|(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d+)?)", re.ASCII)
@@ -45,6 +49,7 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
     FileError
         If the file cannot be read as a table.
     """
+    _check_unpacked(Path(path))
     try:
         # Blanks after commas belong neither to names nor to values.
         frame: pd.DataFrame = pd.read_csv(path, skipinitialspace=True, **_EXACT, **options)
@@ -60,6 +65,16 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
     if frame.shape[1] == 1 and (advice := _separated(str(frame.columns[0]))):
         raise FileError(f"Cannot read a table from {path}.{advice}")
     return frame
+
+
+def _check_unpacked(path: Path) -> None:
+    """Refuse a compressed table that is much larger than its file."""
+    if path.suffix not in _COMPRESSED or not path.is_file():
+        return
+    budget = Budget(path.stat().st_size)
+    with reading(path, "a compressed table"), _COMPRESSED[path.suffix](path, "rb") as content:
+        while block := content.read(1 << 20):
+            budget.claim(len(block))
 
 
 def _separated(header: str) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import lzma
 import re
+import warnings
 import zlib
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -21,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
-from pcnde_bridge._utils.files import check_claim, reading
+from pcnde_bridge._utils.files import Budget, reading
 from pcnde_bridge.errors import FileError
 
 _TYPES = {
@@ -86,8 +87,10 @@ def read_lines(path: Path) -> Lines:
                 f"{path} defines XML entities, which no .vtp file needs; it is not read."
             )
         # Raw appended data are not XML; the part before them is, once it is closed.
-        root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head)
-        return _lines(root, _Decoder(root.attrib, appended))
+        # In an encoding of its own choice, a file could hide its entities.
+        parser = ElementTree.XMLParser(encoding="utf-8")
+        root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head, parser)
+        return _lines(root, _Decoder(root.attrib, appended, Budget(len(content))))
 
 
 def _lines(root: ElementTree.Element, decode: _Decoder) -> Lines:
@@ -145,11 +148,12 @@ def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
 class _Decoder:
     """Decoder of the numbers of a DataArray, wherever and however they are stored."""
 
-    def __init__(self, attributes: Mapping[str, str], appended: bytes) -> None:
+    def __init__(self, attributes: Mapping[str, str], appended: bytes, budget: Budget) -> None:
         orders = {"LittleEndian": "<", "BigEndian": ">"}
         self._order = orders[attributes.get("byte_order", "LittleEndian")]
         self._header = np.dtype(self._order + _TYPES[attributes.get("header_type", "UInt32")])
         self._compressor = attributes.get("compressor")
+        self._budget = budget
         tag, _, data = appended.partition(b">")
         self._encoded = b'encoding="raw"' not in tag
         self._appended = data.partition(b"_")[2]
@@ -162,7 +166,7 @@ class _Decoder:
         dtype = np.dtype(self._order + ("u1" if kind == "String" else _TYPES[kind]))
         form, text = item.attrib["format"], item.text or ""
         if form == "ascii":
-            return np.array(text.split(), dtype=np.float64 if dtype.kind == "f" else np.int64)
+            return self._spelled(text, np.float64 if dtype.kind == "f" else np.int64)
         if form == "binary":
             data = self._bytes(re.sub(r"\s", "", text).encode("ascii"), True)
         elif form == "appended":
@@ -172,7 +176,15 @@ class _Decoder:
             data = self._bytes(self._appended[offset:], self._encoded)
         else:
             raise ValueError(f"unknown format {form!r}")
+        self._budget.claim(len(data) // dtype.itemsize * 8)  # numbers become 8 bytes each
         return np.frombuffer(data, dtype)
+
+    def _spelled(self, text: str, dtype: type) -> npt.NDArray[Any]:
+        """Read numbers of a text, without a string for each of them."""
+        self._budget.claim(4 * len(text))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # older versions of numpy warn of other text
+            return np.fromstring(text, dtype, sep=" ")
 
     def _bytes(self, source: bytes, encoded: bool) -> bytes:
         """Decode one array: its header of sizes, and the data."""
@@ -187,7 +199,7 @@ class _Decoder:
         sizes = [size] * len(packed)
         if packed and last:
             sizes[-1] = last
-        check_claim(sum(sizes), len(source))
+        self._budget.claim(sum(sizes))
         blocks, _ = _part(source, position, sum(packed), encoded)
         ends = np.cumsum([0, *packed], dtype=np.int64).tolist()
         return b"".join(
@@ -200,9 +212,11 @@ class _Decoder:
         decompressor = _DECOMPRESSORS.get(str(self._compressor))
         if decompressor is None:
             raise ValueError(f"its compressor {self._compressor} is unknown: save it with zlib")
-        data: bytes = decompressor().decompress(block, max(size, 1))
-        if len(data) != size:
-            raise ValueError("a block has the wrong size")
+        stream = decompressor()
+        # One byte more than expected takes the stream to its end, where its checksum is.
+        data: bytes = stream.decompress(block, size + 1)
+        if len(data) != size or not stream.eof or stream.unused_data:
+            raise ValueError("a compressed block is damaged: its size or its checksum is wrong")
         return data
 
     def _numbers(self, header: bytes) -> npt.NDArray[Any]:

@@ -9,6 +9,7 @@ import stat
 import pytest
 
 from pcnde_bridge._utils.files import (
+    Budget,
     atomic_write,
     check_claim,
     check_file,
@@ -157,7 +158,12 @@ def enter(path):
 
 
 def test_contents_far_larger_than_their_file_are_refused():
-    check_claim(1 << 28, 1)
-    check_claim(100 << 28, 1 << 28)
-    with pytest.raises(ValueError, match="claims 268435457 bytes in a file of 1"):
-        check_claim((1 << 28) + 1, 1)
+    check_claim(1 << 25, 1)
+    check_claim(4 << 25, 1 << 25)
+    with pytest.raises(ValueError, match="claims 33554433 bytes in a file of 1"):
+        check_claim((1 << 25) + 1, 1)
+    budget = Budget(1)
+    budget.claim(1 << 24)
+    budget.claim(1 << 24)
+    with pytest.raises(ValueError, match="claims 33554433 bytes"):
+        budget.claim(1)

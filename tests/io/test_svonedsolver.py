@@ -15,8 +15,9 @@ from pcnde_bridge.io import read_sv1d
 
 @pytest.fixture
 def straight(vessel):
-    """A vessel whose undeformed area is linear, as it is in the solver's segments."""
-    return replaced(vessel, area_undeformed=np.linspace(0.125, 0.11, 21))
+    """A vessel whose undeformed radius is linear, as it is in the solver's segments."""
+    radius = np.linspace(np.sqrt(0.125), np.sqrt(0.08), 21)
+    return replaced(vessel, area_undeformed=radius**2)
 
 
 def test_reads_a_chain_of_segments(straight, tmp_path):
@@ -62,7 +63,7 @@ def test_results_that_do_not_fit_the_input_file(straight, tmp_path):
     with pytest.raises(FileError, match=r"area\.dat has 6 rows, .* segment 7 nodes: it is trunc"):
         read_sv1d(path, period=1.0)
     table.write_text("\n".join(line.rsplit(" ", 1)[0] for line in whole.splitlines()))
-    with pytest.raises(FileError, match="has 19 time steps, the files before 20"):
+    with pytest.raises(FileError, match="has 19 time steps, but its input file saves 20"):
         read_sv1d(path, period=1.0)
     table.unlink()
     with pytest.raises(DataNotFoundError, match="output TEXT"):
@@ -83,6 +84,27 @@ def test_input_files_of_the_solver_in_any_encoding(vessel, tmp_path, encode):
     assert read_sv1d(path, period=1.0) == expected
     path.write_bytes(encode("\n".join(path.read_text("latin-1").splitlines()[1:])))
     assert read_sv1d(path, period=1.0) == expected
+
+
+def test_keywords_of_any_case_and_commas(vessel, tmp_path):
+    path = sv1d(tmp_path, vessel)
+    expected = read_sv1d(path, period=1.0)
+    text = path.read_text()
+    for word in ("MODEL", "SEGMENT", "SOLVEROPTIONS"):
+        text = text.replace(f"{word} ", f"{word.title()}, ")
+    path.write_text(text.replace(" NOBOUND ", ",NOBOUND,"))
+    assert read_sv1d(path, period=1.0) == expected
+
+
+def test_results_of_another_run_and_too_few_saves(vessel, tmp_path):
+    path = sv1d(tmp_path, vessel)
+    text = path.read_text()
+    path.write_text(text.replace("SOLVEROPTIONS 0.01 5 95", "SOLVEROPTIONS 0.01 5 190"))
+    with pytest.raises(FileError, match="has 20 time steps, but its input file saves 39"):
+        read_sv1d(path, period=1.0)
+    path.write_text(text.replace("SOLVEROPTIONS 0.01 5 95", "SOLVEROPTIONS 0.01 100 100"))
+    with pytest.raises(InputError, match=r"saves 2 time points, .* second number of SOLVEROPTIONS"):
+        read_sv1d(path, period=1.0)
 
 
 def test_one_segment_may_be_named_by_itself(vessel, tmp_path):
