@@ -1,4 +1,4 @@
-"""Errors on left-out training cases: how settings are chosen without looking at the test cases.
+"""Errors on left-out training cases: the choice of settings without the test cases.
 
 Run ``python benchmarks/left_out.py [DATA] [--preset fast] [--change JSON] [--folds pairs]
 [--seeds 0 1] [--engine jax]``.  Each fold leaves whole geometries and waveforms out of the

@@ -36,13 +36,13 @@ def pytest_runtest_setup(item):
         skip_without_julia()
 
 
-# A shell lets its background jobs ignore Ctrl-C, and they what they start.
+# Background jobs of a shell ignore Ctrl-C, and so do their child processes.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
 def small_cases() -> Cases:
-    """3 geometries × 4 waveforms, 20 instants, 21 points; smooth, by formula."""
+    """3 geometries × 4 waveforms, 20 time points, 21 points; smooth, by formula."""
     rng = np.random.default_rng(20241108)
     time = np.arange(20) / 20
     z = np.linspace(0.0, 4.0, 21)
@@ -81,7 +81,7 @@ def small_cases() -> Cases:
 
 @pytest.fixture(scope="session")
 def other_period(small_cases) -> Cases:
-    """The same numbers in a shorter cycle: what only the grid tells apart."""
+    """The same numbers in a shorter cycle: only the grid differs."""
     arrays = {name: getattr(small_cases, name) for name in ("flow", "area", "pressure")}
     return Cases(
         **arrays,
@@ -112,7 +112,7 @@ def published_cases(published_folder: Path) -> Cases:
 
 @pytest.fixture(scope="session")
 def small_config() -> PCNDEConfig:
-    """The paper's training in little: two couplings, two batches of one compiled shape."""
+    """The paper's training, shortened: two couplings, two batches of one compiled shape."""
     return PAPER.replace(
         batch_size=6,
         coupling_passes=2,  # compiled one after the other
@@ -133,7 +133,7 @@ def small_split() -> dict[str, list[list[int]]]:
 
 @pytest.fixture(scope="session")
 def small_model(small_cases, small_config, small_split) -> PCNDE:
-    """Fitted by the JAX engine; what it compiled serves every test of these shapes."""
+    """Model fitted by the JAX engine; tests of these shapes reuse its compiled functions."""
     train = small_cases.split(small_split).train
     return PCNDE.fit(train, small_config, engine="jax", seed=0, progress=False)
 
@@ -216,7 +216,7 @@ class _Dying:
 
 @pytest.fixture
 def drop_ctrl_c():
-    """Press Ctrl-C in an object's last moment, when nobody can receive an exception."""
+    """Press Ctrl-C in ``__del__``, where Python drops the exception."""
 
     def drop() -> None:
         dying = _Dying()

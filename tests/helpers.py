@@ -96,7 +96,7 @@ def made_by_the_closures(parameters=CORRECTED):
 
 
 class ToyStage:
-    """A stage that a few numbers describe, fitted by descent: all in numpy, at once.
+    """Stage with few parameters, fitted by gradient descent: all in numpy, at once.
 
     ``formula(k, arrays, grid, config)`` gives the prediction; k are a few fixed
     projections of the parameters, so that every parameter counts.
@@ -170,7 +170,7 @@ def _toy_spatial(k, inputs, grid, config):
 
 
 class ToyEngine:
-    """An engine that needs no compiling, for what does not depend on the equations."""
+    """Engine without compilation, for tests that do not depend on the equations."""
 
     name = "toy"
     versions: ClassVar = {"toy": "1"}
@@ -241,7 +241,7 @@ def with_labels(cases, labels):
     return Cases(cases.flow, cases.area, cases.pressure, *axes, period=cases.period, labels=labels)
 
 
-# Preset ``fast`` with few iterations, and a validation part.
+# Preset ``fast`` with few iterations, and a validation set.
 LITTLE = FAST.replace(
     coupling_passes=2,
     full_batch={

@@ -1,4 +1,4 @@
-"""What importing the package costs: nothing heavy is loaded before it is needed."""
+"""Import of the package: heavy dependencies are loaded on first use."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_public_names_exist_and_are_listed():
     assert len(set(pcnde_bridge.__all__)) == len(pcnde_bridge.__all__)
 
 
-def test_rooms_are_attributes_and_nothing_else_is_listed():
+def test_subpackages_are_attributes_and_nothing_else_is_listed():
     rooms = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"_utils"} | {"errors"}
     listed = {*pcnde_bridge.__all__, *rooms}
     assert set(dir(pcnde_bridge)) == listed

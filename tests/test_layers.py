@@ -1,4 +1,4 @@
-"""The architecture: imports run downward through the rooms, without circles."""
+"""The architecture: imports run downward through the subpackages, without cycles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pcnde_bridge"
 
-# The rooms, lowest first.  A module may import from its own room and from lower ones.
+# The subpackages, lowest first.  A module may import from its own and from lower ones.
 ROOMS = (
     "_version",
     "_typing",

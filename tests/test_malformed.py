@@ -1,4 +1,4 @@
-"""Malformed input, everywhere: one table, driven through Python and through the command line.
+"""Malformed input of every kind: one table, run through Python and the command line.
 
 Each row damages one good file.  Reading it must raise the right exception of our family with
 a message that says why; the command line must print that message, no traceback, and end
@@ -201,7 +201,7 @@ def readers(good, small_cases, small_config) -> dict[str, Reader]:
 
 
 def replaced_by(content):
-    """Another file altogether."""
+    """Replace the whole content."""
     raw = content if isinstance(content, bytes) else content.encode()
     return lambda path: path.write_bytes(raw)
 
@@ -211,7 +211,7 @@ def cut(part):
 
 
 def swapped(old, new, count=1):
-    """Some bytes in place of others."""
+    """Replace some bytes."""
     old, new = (text.encode() if isinstance(text, str) else text for text in (old, new))
 
     def damage(path):
@@ -223,7 +223,7 @@ def swapped(old, new, count=1):
 
 
 def inside(name, damage):
-    """The same of a file in a folder."""
+    """Apply the damage to a file in a folder."""
     return lambda folder: damage(folder / name)
 
 
@@ -348,7 +348,7 @@ LAUGHS = (
     '<VTKFile type="PolyData">&y;</VTKFile>'
 )
 
-# (kind of file, what is wrong, how, exception, message)
+# (kind of file, defect, function that creates it, exception, message)
 TABLE = [
     # ---- data sets
     ("cases.npz", "empty", replaced_by(b""), FileError, r"is not an \.npz file that Cas"),
@@ -588,13 +588,13 @@ TABLE = [
 ]  # fmt: skip
 
 
-def test_the_table_is_long_and_names_each_input_once():
+def test_the_table_lists_each_input_once():
     names = [(kind, what) for kind, what, *_ in TABLE]
     assert len(names) == len(set(names)) >= 60
 
 
 def test_the_good_files_are_good(readers, good):
-    """Else a row would be refused for another reason than its own."""
+    """Otherwise a row could be rejected for another reason than its defect."""
     for kind, reader in readers.items():
         if kind != "checkpoint":  # it would train
             assert reader.api(good / reader.file) is not None
@@ -606,7 +606,7 @@ def contents(folder):
 
 @pytest.fixture
 def bad(request, good, readers, tmp_path):
-    """A row's damaged file, by itself in a folder."""
+    """Damaged file of a row, alone in a folder."""
     kind, _, damage, *_ = request.param
     reader = readers[kind]
     path = tmp_path / "in" / reader.file
@@ -708,7 +708,7 @@ KINDS = [
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(changes=edits())
 def test_fuzz(kind, good, readers, tmp_path_factory, small_cases, small_config, changes):
-    """Whatever the bytes, the file is read or refused by an error of our family."""
+    """Any damaged file is read, or rejected with an error of the package."""
     inner = "m_S0_flow.dat" if kind == "sv1d table" else INNER.get(kind)
     reader = readers["sv1d" if kind == "sv1d table" else kind]
     folder = tmp_path_factory.getbasetemp() / "fuzz"

@@ -2,7 +2,7 @@
 
 Units, direction of the flow, the cycle and the grid are checked here.  Ambiguous results
 are rejected with the option that settles the question; nothing is flipped, cut or
-interpolated unasked.
+interpolated unless requested.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Interface of the predictions that this room writes to files."""
+"""Interface of the predictions that this subpackage writes to files."""
 
 from __future__ import annotations
 

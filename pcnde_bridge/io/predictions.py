@@ -90,7 +90,7 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
     compressed = name != target.name.lower()
     if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES) or (compressed and suffix != ".csv"):
         raise FileError(
-            f"Cannot tell the format of {target}: it must end in .csv, .npz, .h5, .vtp or .pvd."
+            f"Cannot write {target}: the name must end in .csv, .npz, .h5, .vtp or .pvd."
         )
     if target.is_dir() or not target.parent.is_dir():
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")

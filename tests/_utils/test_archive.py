@@ -1,4 +1,4 @@
-"""Archives: what is damaged, foreign or newer is refused by name; nothing else happens."""
+"""Archives: damaged, foreign and newer files are rejected with a message that names them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def read(path):
 
 
 def is_whole(facts, arrays):
-    """Whether what was read is what was written, to the bit."""
+    """Return whether the contents read equal those written, bit for bit."""
     expected = {"format": KIND, "format_version": VERSION, **FACTS}
     return (
         facts == expected
@@ -98,7 +98,7 @@ def test_truncated_anywhere(path):
 
 
 def test_a_flipped_byte_is_found_or_harmless(path):
-    """CRCs cover the data; what they do not cover must not change what is read."""
+    """Bytes that no CRC covers must not change the contents."""
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     refused = 0
@@ -121,7 +121,7 @@ def test_a_flipped_byte_is_found_or_harmless(path):
     ("old", "new"), [(b"(1000,)", b"(0000,)"), (b"(1000,)", b"(100,) "), (b"(2, 3)", b"(1, 3)")]
 )
 def test_a_damaged_shape_is_found(path, old, new):
-    """A shorter array ends before the checksum is compared, unless one reads on."""
+    """The reader must read past a shorter array, or the checksum is never compared."""
     whole = path.read_bytes()
     at = whole.index(old)
     path.write_bytes(whole[:at] + new + whole[at + len(old) :])
@@ -186,7 +186,7 @@ def test_no_permission(path, monkeypatch):
 
 
 class _Bomb:
-    """Makes a file if it is ever unpickled."""
+    """Object that creates a file if it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -231,7 +231,7 @@ def test_a_huge_header_is_not_read(tmp_path):
 
 
 def test_a_header_that_claims_to_be_huge(tmp_path):
-    """The array's own header says 2^50 numbers; the file has none of them."""
+    """The header of the array claims 2^50 numbers; the file has none."""
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(
         buffer, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)}

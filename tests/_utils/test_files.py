@@ -103,7 +103,7 @@ def test_full_disk(tmp_path):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_other_trouble_is_told_in_its_own_words(tmp_path):
+def test_other_errors_keep_their_message(tmp_path):
     with pytest.raises(FileError, match="Input/output error"), atomic_write(tmp_path / "a.txt"):
         raise OSError(errno.EIO, "Input/output error")
 

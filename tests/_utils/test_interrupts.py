@@ -33,7 +33,7 @@ def test_a_dropped_one_is_raised_by_the_next_look(drop_ctrl_c):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_dropped_one_is_raised_at_the_end_if_nobody_looks(drop_ctrl_c):
+def test_a_dropped_ctrl_c_is_raised_at_the_end_of_the_block(drop_ctrl_c):
     with pytest.raises(KeyboardInterrupt), interrupts.watched():
         drop_ctrl_c()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -71,7 +71,7 @@ def _make_value_error_of_ctrl_c():
         raise ValueError("comparing settings") from error
 
 
-def test_without_one_nothing_is_raised():
+def test_without_ctrl_c_nothing_is_raised():
     with interrupts.watched() as look:
         look()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -90,7 +90,7 @@ def test_another_answer_to_ctrl_c_is_left_alone():
 
 
 class _PressesCtrlC:
-    """A setting that JAX compares by this, as it does with a function's static arguments."""
+    """Setting that presses Ctrl-C when JAX compares it, as it compares static arguments."""
 
     def __init__(self, press):
         self.press = press
@@ -116,7 +116,7 @@ def test_ctrl_c_while_jax_compares_settings():
 
 
 def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, toy_config, tmp_path, monkeypatch):
-    """As it once happened; the state of training is kept, and a task is not tried again."""
+    """Regression test: the checkpoint is stored, and the task is not repeated."""
     compare, calls = PCNDEConfig.__eq__, []
 
     def interrupted(self, other):
@@ -135,7 +135,7 @@ def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, toy_config, tmp_pat
 
 
 @pytest.mark.parametrize("listening", [True, False])
-def test_a_dropped_one_ends_training_and_is_not_lost_work(
+def test_a_dropped_ctrl_c_ends_training_and_the_checkpoint_is_stored(
     small_cases, toy_config, toy_engine, tmp_path, monkeypatch, drop_ctrl_c, listening
 ):
     solve, calls = toy_engine.flow.fit, []

@@ -1,4 +1,4 @@
-"""Many tasks on any executor: same results, failures kept apart, nothing finished is lost."""
+"""Many tasks on any executor: equal results, separate failures, and stored results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pcnde_bridge._utils.result_folder import remove_results
 
 
 def work(seed):
-    """Depends on every bit of the seed's numbers."""
+    """Return a result that depends on every bit of the seed's random numbers."""
     numbers = np.random.default_rng(seed).standard_normal(100)
     return {"numbers": numbers, "sum": float(numbers.sum()), "where": {"seed": seed}}
 
@@ -38,7 +38,7 @@ def refuse(task):
 
 
 def fail_until(task):
-    """Fail as often as the task says, counting in a file."""
+    """Fail the number of times that the task gives; the count is in a file."""
     path, times, error = task
     done = len(path.read_text()) if path.exists() else 0
     path.write_text("x" * (done + 1))
@@ -98,7 +98,7 @@ def test_any_executor_gives_the_same(serial, pool):
     assert same(run(work, SEEDS, executor=processes(2), progress=False).check(), serial)
 
 
-def test_nothing_to_do():
+def test_no_tasks():
     assert run(work, {}, executor=processes(1), progress=False) == Outcome({}, {})
 
 
@@ -115,7 +115,7 @@ def test_processes_have_one_thread_of_xla(monkeypatch):
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_a_failure_is_retried_or_reported_and_the_rest_is_kept(tmp_path, parallel):
+def test_a_failure_is_retried_or_reported_and_other_results_are_returned(tmp_path, parallel):
     tasks = {
         "good": (tmp_path / "good", 0, None),
         "once": (tmp_path / "once", 1, OSError("the network")),
@@ -128,7 +128,7 @@ def test_a_failure_is_retried_or_reported_and_the_rest_is_kept(tmp_path, paralle
     assert outcome.results == {"good": 0, "once": 1}
     assert outcome.failures == {"always": "ValueError: no number", "ours": "It diverges."}
     tried = {name: len((tmp_path / name).read_text()) for name in tasks}
-    # Its own errors would come again.
+    # Errors of the package would occur again.
     assert tried == {"good": 1, "once": 2, "always": 3, "ours": 1}
     with pytest.raises(TaskError, match=r"2 of 4 tasks failed \(always: ValueError: no number; "):
         outcome.check()
@@ -248,7 +248,7 @@ def any_names(_):
     return {"header": np.arange(3.0), "file": np.ones(2), "count": np.int64(3), "share": 0.5}
 
 
-def test_results_of_any_names_are_kept(tmp_path):
+def test_results_of_any_names_are_stored(tmp_path):
     for _ in range(2):  # the second time from the folder
         (result,) = run(any_names, {"a": 1}, folder=tmp_path, progress=False).results.values()
         assert list(result) == ["header", "file", "count", "share"]
@@ -279,7 +279,7 @@ def client():
 
 
 def slowly(task):
-    """Say who works, and take long enough to be killed."""
+    """Report the worker, and take long enough to be killed."""
     seed, folder = task
     (folder / f"{os.getpid()}-{seed}").touch()
     time.sleep(0.3)

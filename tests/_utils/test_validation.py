@@ -1,4 +1,4 @@
-"""Checks that arguments of many functions have in common."""
+"""Checks of arguments that many functions share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_whole_numbers_may_be_numpys(value):
 
 
 @pytest.mark.parametrize("value", [2, -1, 3.0, True, np.True_, "3", None, np.array([3])])
-def test_what_counts_nothing_is_refused(value):
+def test_invalid_counts_are_rejected(value):
     with pytest.raises(InputError, match=re.escape(f"n must be a whole number ≥ 3, got {value!r}")):
         whole("n", value, 3)
 
@@ -46,7 +46,7 @@ def test_real_numbers_may_be_numpys(check, value):
 
 @pytest.mark.parametrize("check", [finite, positive])
 @pytest.mark.parametrize("value", ["1", None, True, np.True_, 1j, [1.0], np.array([1.0])])
-def test_what_is_no_real_number_is_refused(check, value):
+def test_values_that_are_not_real_numbers_are_rejected(check, value):
     with pytest.raises(InputError, match=re.escape(f"x must be a number (cm), got {value!r}.")):
         check("x", value, "cm")
 

@@ -100,7 +100,7 @@ def test_controls_follow_the_training_data(model):
         assert span.minimum < span.low == span.start == span.high < span.maximum
 
 
-def test_a_single_training_case_and_an_unknown_one_give_controls(model, bound):
+def test_controls_for_a_single_training_case_and_without_training_data(model, bound):
     novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
     steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
     choices = Choices.from_model(steady)
@@ -305,13 +305,13 @@ def test_another_period_is_reported_as_outside(client, explorer):
         {"shown": None},
     ],
 )
-def test_requests_that_the_page_never_makes_are_not_answered(client, changes):
+def test_unexpected_requests_get_an_empty_response(client, changes):
     assert ask(client).status_code == 200
     response = ask(client, **changes)
     assert (response.status_code, response.data) == (204, b"")
 
 
-def test_page_loads_nothing_from_other_hosts(client):
+def test_page_loads_no_files_from_other_hosts(client):
     page = client.get("/").text
     loaded = re.findall(r'(?:src|href)="([^"]+)"', page)
     assert len(loaded) > 5

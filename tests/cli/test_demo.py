@@ -1,4 +1,4 @@
-"""The demo, in small, and ``pcnde demo``."""
+"""The demo with few cases, and ``pcnde demo``."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pcnde_bridge.plots import loss_history
 
 @pytest.fixture(autouse=True)
 def unpainted(request, monkeypatch):
-    """Drawing takes longer than all the rest; one test does it."""
+    """Draw no figures, which would take longest; one test draws them."""
     if request.node.name != "test_everything_is_there":
         monkeypatch.setattr(
             module, "_write_figure", lambda path, figure: path.write_bytes(b"\x89PNG")
@@ -39,7 +39,7 @@ def unpainted(request, monkeypatch):
 
 @pytest.fixture
 def demo(tmp_path, small_cases, toy_engine, toy_config):
-    """Run the demo in small, without compiling."""
+    """Run the demo with few cases, without compiling."""
 
     def demo(out=tmp_path / "demo", **changes):
         options = {"engine": toy_engine, "config": toy_config, "cases": small_cases}

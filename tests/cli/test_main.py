@@ -40,7 +40,7 @@ def run(run_pcnde, monkeypatch):
 
 
 def process(*arguments, **options):
-    """Run ``python -m pcnde_bridge`` in a process of its own."""
+    """Run ``python -m pcnde_bridge`` in a separate process."""
     return subprocess.run(
         [sys.executable, "-m", "pcnde_bridge", *map(str, arguments)],
         capture_output=True,
@@ -53,7 +53,7 @@ def process(*arguments, **options):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, small_cases, small_config, small_split, small_model):
-    """What a user has: cases, settings, a split, and a model fitted with them."""
+    """Folder of a user: cases, settings, a split, and a model fitted with them."""
     folder = tmp_path_factory.mktemp("cli")
     small_cases.save(folder / "cases.npz")
     changes = small_config.to_dict()
@@ -81,7 +81,7 @@ def fit_options(folder):
     )
 
 
-# ---- in a process of its own --------------------------------------------------
+# ---- in a separate process --------------------------------------------------
 
 
 def test_version_and_use():
@@ -102,7 +102,7 @@ def test_errors_have_no_traceback(folder, tmp_path):
     assert result.stdout == ""
 
 
-def test_a_reader_that_goes_away_is_no_error_of_ours(folder):
+def test_a_closed_pipe_is_not_an_error(folder):
     """``pcnde … | head -0``: no traceback, and nothing at the interpreter's exit."""
     code = "import sys, pcnde_bridge.cli.main as c; sys.argv = ['pcnde', 'doctor']; c.main()"
     child = subprocess.Popen(
@@ -118,7 +118,7 @@ def test_a_reader_that_goes_away_is_no_error_of_ours(folder):
 
 
 def test_interrupted_by_ctrl_c_then_continued(folder, fit_options, tmp_path, run, small_model):
-    """SIGINT after the first epoch, in another process; then to the same bits here."""
+    """Send SIGINT after the first epoch to another process; resume here to the same bits."""
     out = tmp_path / "model.pcnde"
     checkpoint = tmp_path / "model.pcnde.checkpoint"
     arguments = ["fit", folder / "cases.npz", *fit_options, "--out", out]
@@ -173,7 +173,7 @@ def test_fit(folder, fit_options, tmp_path, run, small_model, small_cases, small
     assert f"Saved {out}" in printed
 
 
-def test_fit_with_another_seed_and_a_checkpoint_of_ones_own(
+def test_fit_with_another_seed_and_a_named_checkpoint(
     folder, fit_options, tmp_path, run, small_model
 ):
     out, kept = tmp_path / "model.pcnde", tmp_path / "kept"
@@ -480,7 +480,7 @@ def test_doctor_names_missing_packages(run, monkeypatch):
     assert "pip install jax diffrax" in printed
 
 
-def test_the_commands_stand_in_their_order(run):
+def test_commands_are_listed_in_order(run):
     _, printed, _ = run("--help")
     lines = printed[printed.index("Commands:") :].splitlines()[1:]
     assert [line.split()[0] for line in lines if line.strip()] == [
@@ -524,7 +524,7 @@ def test_the_packages_warnings_have_no_line_of_code(capsys):
 
 
 @pytest.mark.parametrize("text", ["model[fast].npz", "a[/x].npz", "a :fire: b", 50 * "long/"])
-def test_text_is_printed_as_it_stands(capsys, monkeypatch, text):
+def test_text_is_printed_unchanged(capsys, monkeypatch, text):
     monkeypatch.setenv("COLUMNS", "40")
     say(text)
     note(f"Error: {text}", style="bold red")
@@ -533,7 +533,7 @@ def test_text_is_printed_as_it_stands(capsys, monkeypatch, text):
 
 @pytest.mark.parametrize("name", ["model[fast]", "a[/x]"])
 def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine, monkeypatch, name):
-    """What rich would take for markup: ``[fast]`` vanished, and ``[/x]`` was an error."""
+    """Names that look like markup of rich: ``[fast]`` vanished, and ``[/x]`` was an error."""
     monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda *_, **__: toy_engine)
     (tmp_path / name).parent.mkdir(exist_ok=True)
     model, table, cases = (tmp_path / f"{name}{end}" for end in (".npz", ".csv", ".h5"))
@@ -557,7 +557,7 @@ def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine,
     assert str(table) in err
 
 
-def test_the_checkpoint_of_bench_is_named_by_what_is_trained(small_cases, small_config):
+def test_the_checkpoint_of_bench_is_named_after_the_fit(small_cases, small_config):
     name = checkpoint_name(small_cases, small_config, "auto", 0)
     assert name == checkpoint_name(small_cases, small_config, "auto", 0)
     others = (
@@ -576,7 +576,7 @@ def test_the_script_is_installed():
     assert "pcnde_bridge" in script.read_text()
 
 
-def test_what_the_console_cannot_write_is_replaced():
+def test_characters_that_the_console_cannot_write_are_replaced():
     result = process("doctor", env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert "Traceback" not in result.stderr
     assert "Python" in result.stdout

@@ -1,4 +1,4 @@
-"""Files that ``pcnde predict`` writes, and those that it refuses before it computes."""
+"""Files that ``pcnde predict`` writes, and files that it rejects before computing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def inputs(small_cases, tmp_path):
 
 @pytest.fixture
 def model(small_cases, toy_config, toy_engine, monkeypatch):
-    """A model that ``pcnde`` finds under any name, and that nothing has to compile."""
+    """Model that ``pcnde`` finds under any name, and that needs no compiling."""
     parameters = initial_parameters(toy_config, 20, 21, 0)
     grid = Grid(small_cases.time, small_cases.z, 1.0)
     made = PCNDE(toy_config, parameters, grid, toy_engine)
@@ -43,7 +43,7 @@ def test_predict_writes_centerlines(small_cases, model, inputs, tmp_path, run_pc
     assert np.array_equal(found.flow, expected.flow)
 
 
-def test_predict_refuses_what_it_could_not_write_before_it_computes(
+def test_predict_rejects_unwritable_files_before_computing(
     model, inputs, tmp_path, run_pcnde, monkeypatch
 ):
     def compute(*_, **__):

@@ -1,4 +1,4 @@
-"""Settings: validation, serialisation, presets, and the paper's numbers."""
+"""Settings: validation, serialization, presets, and the paper's numbers."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_group_of_another_stage_is_refused():
 
 
 @pytest.mark.parametrize("name", ["epoch", "self", "", "_replace"])
-def test_unknown_names_are_refused_with_the_known_ones(name):
+def test_unknown_names_are_rejected_with_a_list_of_the_known_ones(name):
     with pytest.raises(InputError, match=f"no setting '{name}'.*batch_size"):
         PAPER.replace(**{name: 1})
     with pytest.raises(InputError, match=f"FlowStage has no setting '{name}'.*epochs"):
@@ -131,7 +131,7 @@ def test_unknown_names_are_refused_with_the_known_ones(name):
         PCNDEConfig.from_json(json.dumps({name: 1}))
 
 
-def test_replace_changes_only_what_is_named():
+def test_replace_changes_only_the_named_settings():
     changed = PAPER.replace(flow={"epochs": 7, "hidden": [3, 4]}, batch_size=2)
     assert (changed.flow.epochs, changed.flow.hidden, changed.batch_size) == (7, (3, 4), 2)
     assert changed.flow.replace(epochs=100, hidden=(8, 8, 8, 8)) == PAPER.flow
@@ -139,7 +139,7 @@ def test_replace_changes_only_what_is_named():
     assert PCNDEConfig() == PAPER
 
 
-def test_an_integer_is_taken_where_a_float_is_due():
+def test_integers_are_converted_to_floats():
     density = PAPER.replace(physics={"density": 1}).physics.density
     assert type(density) is float
     assert density == 1.0
@@ -147,7 +147,7 @@ def test_an_integer_is_taken_where_a_float_is_due():
         PAPER.replace(physics={"density": 10**400})
 
 
-def test_numbers_of_numpy_are_taken_as_pythons_own():
+def test_numpy_numbers_are_converted_to_python_numbers():
     made = PAPER.replace(
         batch_size=np.int64(5),
         flow={"rtol": np.float32(0.5), "hidden": [np.int32(3)], "first_step": np.float64(0.1)},
@@ -218,7 +218,7 @@ def test_json_round_trip(config):
     assert json.loads(config.to_json()) == json.loads(back.to_json())
 
 
-def test_what_json_leaves_out_keeps_its_default():
+def test_settings_missing_in_json_keep_their_defaults():
     assert PCNDEConfig.from_json("{}") == PAPER
     assert PCNDEConfig.from_json('{"flow": {"epochs": 3}}') == PAPER.replace(flow={"epochs": 3})
 

@@ -79,7 +79,7 @@ FINGERPRINT = "0a3702f9973f473c4911ec9e30ecca9b93073bd9be8e4957d399b81540935744"
 
 
 def test_fingerprint_is_the_same_on_every_machine_and_version():
-    """A change here makes the checksums in all model files wrong."""
+    """A changed fingerprint would invalidate the checksums in all model files."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitsWarning)
         made = Cases(

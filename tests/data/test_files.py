@@ -63,7 +63,7 @@ def test_truncated_and_foreign_files(small_cases, tmp_path, suffix):
 @pytest.mark.filterwarnings("ignore::pcnde_bridge.UnitsWarning")
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
 def test_every_damaged_byte_is_noticed(small_cases, tmp_path, suffix):
-    """A flipped byte is refused, or it stood where nothing was stored."""
+    """A file with a flipped byte is rejected, unless the byte is unused."""
     path = tmp_path / f"data{suffix}"
     small_cases.select([0, 5]).save(path)
     whole, saved = path.read_bytes(), Cases.load(path)

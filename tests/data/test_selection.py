@@ -166,7 +166,7 @@ def test_split_refuses_files(small_cases, tmp_path):
 
 @bounded
 @given(data=st.data())
-def test_selecting_keeps_the_order_asked_for(small_cases, data):
+def test_selection_has_the_requested_order(small_cases, data):
     wanted = data.draw(st.lists(st.integers(0, 11), min_size=1, unique=True))
     chosen = small_cases.select(wanted)
     assert case_pairs(chosen) == [case_pairs(small_cases)[i] for i in wanted]

@@ -1,4 +1,4 @@
-"""Validation part of the training cases."""
+"""Validation cases and folds of the training cases."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_the_validation_part_is_whole_waveforms_and_geometries(small_cases):
     assert len(others) > 3
 
 
-def test_without_groups_single_cases_are_drawn(small_cases):
+def test_without_groups_single_cases_are_held_out(small_cases):
     one_each = small_cases.select(range(9))
     object.__setattr__(one_each, "_labels", one_each.labels.assign(geometry=range(9), waveform=0))
     fitted, held = training_and_validation(one_each, 0.25, 0)

@@ -45,16 +45,16 @@ def sets(small_cases, small_split):
 # ---- each of them ----------------------------------------------------------------
 
 
-def test_nothing_happens(small_cases):
+def test_unchanged(small_cases):
     train, test = small_cases.select(slice(0, 6)), small_cases.select(slice(6, 12))
     found = Unchanged().fit(train).predict(test)
     q, p = train.flow[:, :, -1], train.pressure[:, :, -1]
     resistance = (q * p).sum() / (q * q).sum()
-    for case, instant, point in ((0, 3, 7), (5, 19, 20)):
-        inflow = test.flow[case, instant, 0]
-        assert found["flow"][case, instant, point] == inflow
-        assert found["area"][case, instant, point] == test.area_undeformed[case, point]
-        np.testing.assert_allclose(found["pressure"][case, instant, point], resistance * inflow)
+    for case, time_point, point in ((0, 3, 7), (5, 19, 20)):
+        inflow = test.flow[case, time_point, 0]
+        assert found["flow"][case, time_point, point] == inflow
+        assert found["area"][case, time_point, point] == test.area_undeformed[case, point]
+        np.testing.assert_allclose(found["pressure"][case, time_point, point], resistance * inflow)
     assert {name: values.shape for name, values in found.items()} == dict.fromkeys(
         VARIABLES, test.flow.shape
     )

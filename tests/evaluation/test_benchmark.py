@@ -34,7 +34,7 @@ def sets(small_cases, small_split):
 
 
 class Perfect:
-    """Knows the truth; says how often it was asked."""
+    """Method that returns the truth and counts its calls."""
 
     def __init__(self):
         self.asked = []
@@ -58,7 +58,7 @@ def test_bench_of_a_baseline(sets):
     assert row.reason is None
 
 
-def test_bench_of_what_does_not_suit(sets):
+def test_bench_with_methods_that_are_not_applicable(sets):
     row = bench_baseline("polynomial", ResponseSurface(), sets)
     assert row.errors == {}
     assert row.fit_seconds is row.predict_ms_per_case is None
@@ -74,7 +74,7 @@ def test_bench_of_a_model(sets, small_config, toy_engine):
     assert row.fit_seconds == model.provenance["seconds"]
 
 
-def test_bench_does_not_warn_of_what_its_errors_show(small_cases, small_config, toy_engine):
+def test_bench_does_not_warn_of_extrapolation(small_cases, small_config, toy_engine):
     weak, strong = small_cases.select(waveform=[0, 1]), small_cases.select(waveform=[3])
     model = PCNDE.fit(weak, small_config, engine=toy_engine, progress=False)
     with pytest.warns(OutsideTrainingWarning):
@@ -141,7 +141,7 @@ def test_bench_side_by_side(run, folder, sets):
             assert row["predict_ms_per_case"] > 0
     unchanged = Unchanged().fit(sets["train"]).predict(sets["test"])
     assert rows["no change"]["errors"]["test"] == pooled_errors(unchanged, sets["test"])
-    # Eleven cases are too few for sixteen terms; the rest goes on, and says so.
+    # Eleven cases are too few for sixteen terms; the other methods are computed.
     assert "11 training cases" in out
 
 

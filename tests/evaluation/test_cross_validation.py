@@ -65,7 +65,7 @@ def test_a_fit_that_fails_has_a_row_with_its_reason(small_cases, config):
     assert table[NUMBERS].iloc[1:].notna().all(axis=None)
 
 
-def test_tables_have_their_columns_whatever_fails(small_cases, config, engine):
+def test_tables_have_all_columns_if_fits_fail(small_cases, config, engine):
     broken = FailingEngine(set(range(99)))
     lost = cross_validate(small_cases, config, broken, retries=0, progress=False)
     assert lost["failure"].notna().all()

@@ -1,4 +1,4 @@
-"""The real cases: the published weights, and the paper's recipe at full length."""
+"""The real cases: the published weights, and the paper's training at full length."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_each_case_is_that_of_an_independent_calculation(
 
 
 @pytest.mark.slow
-def test_the_papers_recipe_reaches_the_papers_accuracy(published_cases):
+def test_the_papers_training_reaches_the_papers_accuracy(published_cases):
     train, test = published_cases.split("paper")
     model = PCNDE.fit(train, config="paper", engine="jax", seed=0, progress=False)
     on_test, on_train = model.evaluate(test).iloc[-1], model.evaluate(train).iloc[-1]

@@ -11,7 +11,7 @@ from pcnde_bridge._utils.archive import write_archive
 from pcnde_bridge.model.describe import describe, lines
 
 
-def test_what_is_needed_to_run_a_fit_again(small_cases, config, engine, ensemble, tmp_path):
+def test_facts_needed_to_reproduce_a_fit(small_cases, config, engine, ensemble, tmp_path):
     ensemble.save(tmp_path / "ensemble")
     ensemble.members[1].save(tmp_path / "model")
     PCNDE.fit(small_cases, config, engine, checkpoint=tmp_path / "run", progress=False)

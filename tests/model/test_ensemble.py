@@ -97,7 +97,7 @@ def test_members_have_one_grid(small_cases, other_period, config, engine, ensemb
 
 
 def test_intervals_are_calibrated_on_cases_left_out(small_cases, config, engine, ensemble):
-    """Whole parts left out here lie in 90 % intervals about that often, in the mean."""
+    """On left-out folds, 90 % intervals contain about 90 % of the values on average."""
     held = []
     for label in ("geometry", "waveform"):
         for value in np.unique(small_cases.labels[label])[[0, -1]]:
@@ -114,7 +114,7 @@ def test_intervals_are_calibrated_on_cases_left_out(small_cases, config, engine,
     assert (shares < 1.0).any()
 
 
-def test_extrapolation_is_warned_of_once_at_this_line(small_cases, ensemble):
+def test_the_warning_of_extrapolation_points_to_the_callers_line(small_cases, ensemble):
     with pytest.warns(OutsideTrainingWarning) as caught:
         ensemble.predict(3 * small_cases.inflow, small_cases.area_undeformed)
     assert len(caught) == 1
@@ -243,7 +243,7 @@ def test_an_ensemble_on_the_command_line(
     before = len(engine.flow.fits)
     whole = Ensemble.fit(small_cases, config, engine, members=2, progress=False)
     total = len(engine.flow.fits) - before
-    assert total - 20 <= taken < total  # what was finished is not done again
+    assert total - 20 <= taken < total  # finished fits are not repeated
     assert same(Ensemble.load("e.npz", engine), whole)
     assert "pcnde fit cases.npz" in describe("e.npz")["provenance"]["command"]
 

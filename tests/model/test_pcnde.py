@@ -134,7 +134,7 @@ def test_provenance(small_model, small_cases, small_split):
 # ---- predict ---------------------------------------------------------------
 
 
-def test_predict_takes_cases_or_their_inputs(small_model, small_cases, prediction):
+def test_predict_accepts_cases_or_arrays(small_model, small_cases, prediction):
     other = small_model.predict(small_cases.inflow, small_cases.area_undeformed)
     assert same_bits(prediction, other)
     assert prediction.labels.equals(small_cases.labels)
@@ -182,7 +182,7 @@ def test_one_waveform_with_many_geometries_and_the_other_way(small_model, small_
         assert same_bits(small_model.predict(*one), small_model.predict(*many))
 
 
-def test_predict_takes_lists_and_other_numbers(small_model, small_cases, prediction):
+def test_predict_accepts_lists_and_other_number_types(small_model, small_cases, prediction):
     found = small_model.predict(
         small_cases.inflow.tolist(), np.asfortranarray(small_cases.area_undeformed)
     )
@@ -200,7 +200,7 @@ def test_predict_leaves_its_inputs_alone(small_model, small_cases):
     assert same_bits(found, small_model.predict(small_cases))
 
 
-def test_predict_names_what_is_wrong(small_model, small_cases):
+def test_predict_names_the_wrong_argument(small_model, small_cases):
     q, s_u = small_cases.inflow.copy(), small_cases.area_undeformed.copy()
     predict = small_model.predict
     with pytest.raises(InputError, match="needs area_undeformed"):
@@ -283,12 +283,12 @@ def test_prediction_as_a_frame(prediction, small_cases):
     ]
     assert len(frame) == 12 * 20 * 21
     assert list(frame.index) == list(range(len(frame)))
-    for case, instant, point in ((0, 0, 0), (3, 7, 20), (11, 19, 20), (5, 0, 13)):
-        row = frame.iloc[(case * 20 + instant) * 21 + point]
-        assert row["time"] == small_cases.time[instant]
+    for case, time_point, point in ((0, 0, 0), (3, 7, 20), (11, 19, 20), (5, 0, 13)):
+        row = frame.iloc[(case * 20 + time_point) * 21 + point]
+        assert row["time"] == small_cases.time[time_point]
         assert row["z"] == small_cases.z[point]
         for name in VARIABLES:
-            assert row[name] == getattr(prediction, name)[case, instant, point]
+            assert row[name] == getattr(prediction, name)[case, time_point, point]
         assert row["area_undeformed"] == small_cases.area_undeformed[case, point]
         for label in labels:
             assert row[label] == small_cases.labels[label].iloc[case]
@@ -355,7 +355,7 @@ def test_a_model_without_pressure(without_pressure, small_cases, prediction, tmp
     assert not loaded.has_pressure
 
 
-def test_nothing_of_the_user_is_shared_with_a_prediction(small_model, small_cases, tmp_path):
+def test_predictions_share_no_memory_with_the_users_arrays(small_model, small_cases, tmp_path):
     q, s_u = small_cases.inflow.copy(), small_cases.area_undeformed.copy()
     expected = small_model.predict(q, s_u)
     found, batches = small_model.predict(q, s_u), small_model.predict_batches(q, s_u, batch=5)
@@ -376,7 +376,7 @@ def test_masked_and_complex_inputs_are_refused(small_model, small_cases):
         small_model.evaluate(q)
 
 
-def test_joined_batches_have_cases_of_their_own(small_model, small_cases):
+def test_joined_batches_have_unique_cases(small_model, small_cases):
     inputs = small_cases.inflow, small_cases.area_undeformed
     parts = [p.to_cases() for p in small_model.predict_batches(*inputs, batch=5)]
     assert [g for part in parts for g in part.labels["geometry"]] == list(range(12))

@@ -152,7 +152,7 @@ def test_configuration_survives_json():
 # ---- predict ---------------------------------------------------------------
 
 
-def test_prediction_takes_cases_or_their_inputs(model, cases, prediction):
+def test_prediction_accepts_cases_or_arrays(model, cases, prediction):
     other = model.predict(INFLOW, AREA)
     assert same_bits(other, prediction)
     assert other.samples is None
@@ -208,7 +208,7 @@ def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
         assert sum(len(part) for part in parts) == 16
 
 
-def test_samples_have_the_shape_and_are_the_seeds_own(model, cases, prediction):
+def test_samples_have_the_shape_and_depend_on_the_seed(model, cases, prediction):
     for name in VARIABLES:
         assert prediction.samples[name].shape == (12, 16, 32, 41)
         assert prediction.standard_deviation()[name].shape == (16, 32, 41)
@@ -241,14 +241,14 @@ def test_intervals_hold_about_their_share_of_the_training_values(model, cases):
             return ((low <= truth) & (truth <= high)).mean()
 
         # Calibrated at 0.9 on cases that were left out; on those that were not, with 64
-        # draws' deviation off by a tenth and errors that go together along a case.
+        # samples' standard deviation off by a tenth and correlated errors along a case.
         assert 0.75 < share(wide[name]) <= 1
         assert share(narrow[name]) < share(wide[name])
         middle = (wide[name][0] + wide[name][1]) / 2
         assert np.allclose(middle, getattr(found, name), rtol=1e-12)
 
 
-def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, prediction):
+def test_invalid_samples_and_levels_are_rejected(model, cases, prediction):
     for samples in (-1, 2.0, True, "8"):
         with pytest.raises(InputError, match="samples must be a whole number"):
             model.predict(cases, samples=samples)
@@ -264,7 +264,7 @@ def test_samples_and_levels_that_make_no_sense_are_refused(model, cases, predict
 
 
 @pytest.mark.parametrize("seed", [-1, "0"])
-def test_seed_of_the_samples_that_makes_no_sense_is_refused(model, cases, seed):
+def test_invalid_seeds_of_samples_are_rejected(model, cases, seed):
     with pytest.raises(InputError, match="seed"):
         model.predict(cases, samples=2, seed=seed)
 
@@ -276,14 +276,14 @@ def test_shifted_points_give_the_same_answer(model, prediction):
     assert np.array_equal(moved.z, Z + 7)
 
 
-def test_more_points_and_instants_give_the_same_answer(model, prediction):
+def test_finer_grids_give_the_same_result(model, prediction):
     time, z = np.arange(100) / 100, np.linspace(0, 4, 81)
     areas = np.array([vessel(2.0, blockage=b, z=z) for b in (0.45, 0.6)])
     found = model.predict(waves(time)[:1], areas, z=z, samples=2)
     assert found.samples["area"].shape == (2, 2, 100, 81)
     assert np.allclose(found.time, time, rtol=1e-14)
-    # Instants 0, ¼, ½, ¾ and 41 points are on both grids.  What differs is what elements
-    # of 0.1 cm make of a stenosis of 0.3 cm.
+    # Time points 0, ¼, ½, ¾ and 41 points are on both grids.  The difference is that of elements
+    # of 0.1 cm in a stenosis of 0.3 cm.
     for name, allowed in (("flow", 1e-3), ("area", 2e-3), ("pressure", 2e-3)):
         expected = getattr(prediction, name)[[4, 8], ::8]
         missed = getattr(found, name)[:, ::25, ::2] - expected
@@ -299,7 +299,7 @@ def test_longer_period_stores_less_on_the_way(model):
     assert slow.time[1] == 10 / 32
     stored_fast, stored_slow = (np.abs(p.flow - INFLOW[..., None]).max() for p in (fast, slow))
     assert 0 < stored_slow < 0.3 * stored_fast
-    # A tenth is the edge, less than what else is unusual does not show.
+    # A tenth is the edge; a smaller difference does not change the score.
     assert model.predict(INFLOW[:1], AREA[:1], period=1.1).novelty == pytest.approx(1.0)
     within = model.predict(INFLOW[:1], AREA[:1], period=1.001).novelty
     assert within == model.predict(INFLOW[:1], AREA[:1]).novelty
@@ -337,14 +337,14 @@ def test_cases_that_are_not_resolved_are_refused(model, cases):
             refused()
 
 
-def test_predictions_count_time_from_the_models_first_instant(model):
+def test_predictions_count_time_from_the_models_first_time_point(model):
     late = PCNDE(
         model.config, model.parameters, Grid(model.grid.time + 2, Z, 1.0), model.engine, {}, ()
     )
     assert np.array_equal(late.predict(INFLOW, AREA).time, model.grid.time + 2)
 
 
-def test_a_draw_that_cannot_be_computed_is_told_from_the_prediction(model, cases):
+def test_a_failed_sample_is_distinguished_from_a_failed_prediction(model, cases):
     def draws_fail(*arguments):
         raise SolveError("case 5 does not settle")
 
@@ -357,7 +357,7 @@ def test_a_draw_that_cannot_be_computed_is_told_from_the_prediction(model, cases
         sample(*arguments, numbers)
 
 
-def test_model_of_the_paper_takes_no_other_grid_and_no_samples(small_cases, toy_config, toy_engine):
+def test_model_of_the_paper_rejects_other_grids_and_samples(small_cases, toy_config, toy_engine):
     grid = small_cases.grid
     model = PCNDE(toy_config, initial_parameters(toy_config, 20, 21, 0), grid, toy_engine)
     inputs = small_cases.inflow, small_cases.area_undeformed

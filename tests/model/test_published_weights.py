@@ -50,7 +50,7 @@ def test_published_weights_are_read(weights, toy_engine, tmp_path):
     assert PCNDE.load(tmp_path / "m", engine=toy_engine).parameters == model.parameters
 
 
-def test_published_weights_with_settings_of_ones_own(weights, toy_engine):
+def test_published_weights_with_other_settings(weights, toy_engine):
     model = PCNDE.from_published_weights(weights, PAPER, engine=toy_engine)
     assert model.config == PAPER
     with pytest.raises(InputError, match="flow parameters have 2724 numbers"):

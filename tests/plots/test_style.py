@@ -1,4 +1,4 @@
-"""Shared style: color-blind readers can tell the curves apart."""
+"""Shared style: color-blind readers can distinguish the curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEUTERANOPIA = [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0
 
 
 @pytest.mark.parametrize("seen", [PROTANOPIA, DEUTERANOPIA], ids=["protanopia", "deuteranopia"])
-def test_color_blind_readers_tell_the_curves_of_a_figure_apart(seen):
+def test_color_blind_readers_can_distinguish_the_curves_of_a_figure(seen):
     def linear(color):
         rgb = np.array(to_rgb(color))
         return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)

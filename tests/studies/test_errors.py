@@ -37,7 +37,7 @@ def test_error_matrix_has_gaps_where_cases_are_missing(small_cases, predicted):
     assert matrix.isna().to_numpy().tolist() == [[False, True], [True, False]]
 
 
-def test_error_matrix_is_in_order_whatever_the_cases_are(small_cases, predicted):
+def test_error_matrix_is_sorted_for_any_order_of_cases(small_cases, predicted):
     order = np.random.default_rng(2).permutation(len(small_cases))
     shuffled = error_matrix({"flow": predicted["flow"][order]}, small_cases.select(order))["flow"]
     pd.testing.assert_frame_equal(shuffled, error_matrix(predicted, small_cases)["flow"])

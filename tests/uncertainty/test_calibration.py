@@ -1,4 +1,4 @@
-"""How wide intervals come out, with predictions made by hand."""
+"""Width of intervals, for constructed predictions."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ AMOUNT = 0.5, 10.0, 0.5, 1.0, 1.0, 0.5, 0.5, 10.0, 1.0, 0.5
     ],
 )
 def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift, factor):
-    # Draws with the deviation one in each case.
+    # Random numbers with standard deviation one in each case.
     draws = np.repeat([-1.0, 1.0], 6)[:, None] * np.sqrt(11 / 12)
     rng = SimpleNamespace(standard_normal=lambda shape: np.broadcast_to(draws, shape))
     members = [np.array([1.0]), np.array([-1.0])]
@@ -91,7 +91,7 @@ def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift,
 
 
 def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, z=GRID.z):
-    """Draws about the truth, in terms of UNITS, and the shifts that made them."""
+    """Return samples minus the truth, in terms of UNITS, and their shifts."""
     engine, inflow = ByHand(amount, response), inflow_of(len(amount))
     uncertainty = Uncertainty(
         np.array(members, dtype=float)[:, None],
@@ -107,7 +107,7 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
     return np.stack(off), np.concatenate(engine.shifts)
 
 
-def test_draws_of_members_are_their_predictions():
+def test_samples_of_members_are_their_predictions():
     nothing = np.zeros((3, 2))
     off, _ = drawn([1.0, -2.0, 5.0], 0.0, nothing, [1.0, 2.0, 3.0], 30, amount=(1.0, 3.0))
     for one, scale in zip(off, (1.0, 2.0, 3.0), strict=True):
@@ -119,7 +119,7 @@ def test_draws_of_members_are_their_predictions():
             assert np.allclose(one[:, case], expected, rtol=1e-6, atol=1e-6)
 
 
-def test_draws_have_the_profiles_deviation():
+def test_samples_have_the_standard_deviation_of_the_profile():
     profile = np.array([[0.0, 1.0], [1.0, 3.0], [2.0, 0.0]])
     z = np.array([5.0, 6.0, 7.0, 7.5, 8.0, 9.0])  # anywhere: the profile reaches from end to end
     off, _ = drawn([0.0], 0.0, profile, [1.0, 0.5, 2.0], 4000, amount=(1.0, 1.0), z=z)
@@ -133,7 +133,7 @@ def test_draws_have_the_profiles_deviation():
     assert np.abs(apart - np.eye(4)).max() < 0.06
 
 
-def test_draws_have_the_shifts_deviation():
+def test_samples_have_the_standard_deviation_of_the_shift():
     off, shifts = drawn([0.0], 0.7, np.zeros((3, 2)), np.ones(3), 4000, (1.0, 1.0), (1.0, 5.0))
     assert shifts.size == 8000
     shifts = shifts.reshape(4000, 2)

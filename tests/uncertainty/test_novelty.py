@@ -14,7 +14,7 @@ from helpers import (
 from pcnde_bridge.uncertainty.novelty import Novelty
 
 
-def test_score_knows_nothing_of_the_grid():
+def test_score_does_not_depend_on_the_grid():
     novelty = Novelty.fit(INFLOW, AREA, Z)
     time = np.arange(100) / 100
     fine = np.linspace(0, 4, 401)
@@ -27,7 +27,7 @@ def test_score_knows_nothing_of_the_grid():
     assert of_area.max() == pytest.approx(1.0, abs=0.02)
 
 
-def test_score_knows_nothing_of_waves_that_time_points_do_not_show():
+def test_score_ignores_unresolved_harmonics():
     factors, area = np.array([[0.5], [1.0], [1.75]]), AREA[:3]
 
     def family(count, highest):
@@ -37,7 +37,7 @@ def test_score_knows_nothing_of_waves_that_time_points_do_not_show():
 
     novelty = Novelty.fit(family(100, 12), area, Z)
     assert novelty.score(family(100, 12), area, Z)[0].max() == pytest.approx(1.0)
-    # What 16 instants show of these waves, without the eighth harmonic and those above.
+    # 16 time points resolve the harmonics below the eighth.
     assert novelty.score(family(16, 7), area, Z)[0].max() == pytest.approx(1.0, abs=0.02)
     assert novelty.score(1.2 * family(16, 7), area, Z)[0].max() > 1.4
 

@@ -172,7 +172,7 @@ def _predict_batch(
         raise SolveError(
             f"Flow, area and pressure of case {rows.start + failed[0]} do not settle in "
             f"{config.correction.passes} coupling passes. Check the units of inflow and area "
-            "(mL/s, cm²); a stiffer wave or a longer vessel needs more passes "
+            "(mL/s, cm²); a stronger waveform or a longer vessel needs more passes "
             "(correction.passes)."
         )
     # The last modes are zero without reversed flow.
