@@ -1,4 +1,4 @@
-"""Single-file archives of named arrays and JSON facts, used for models and checkpoints.
+"""Single-file archives of named arrays and JSON facts, for models and checkpoints; checksums.
 
 An archive is a ``.npz`` file without pickled objects, whatever the ending of its name.
 """
@@ -6,8 +6,8 @@ An archive is a ``.npz`` file without pickled objects, whatever the ending of it
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils.files import atomic_write, check_members, reading
 from pcnde_bridge.errors import FileError
 
@@ -25,7 +25,7 @@ _MODEL_KINDS = {"pcnde-model", "pcnde-ensemble"}  # load_model reads both
 
 
 def write_archive(
-    path: str | os.PathLike[str],
+    path: StrPath,
     kind: str,
     version: int,
     facts: Mapping[str, Any],
@@ -61,7 +61,7 @@ def write_archive(
 
 
 def read_archive(
-    path: str | os.PathLike[str], kind: str, version: int, what: str
+    path: StrPath, kind: str, version: int, what: str
 ) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """Read an archive.
 
@@ -101,7 +101,7 @@ def read_archive(
 
 
 @contextlib.contextmanager
-def interpreting(where: str | os.PathLike[str], what: str) -> Iterator[None]:
+def interpreting(where: StrPath, what: str) -> Iterator[None]:
     """Turn errors caused by missing or inconsistent contents into a ``FileError``.
 
     Parameters
@@ -126,7 +126,7 @@ def interpreting(where: str | os.PathLike[str], what: str) -> Iterator[None]:
         raise FileError(f"{where} is not a complete {what}: {error}.") from error
 
 
-def archive_kind(path: str | os.PathLike[str]) -> str | None:
+def archive_kind(path: StrPath) -> str | None:
     """Return the kind that an archive states, or None if it cannot be read."""
     with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as archive:
         kind = _facts(archive)["format"]
@@ -159,3 +159,29 @@ def _check_format(name: str, facts: Mapping[str, Any], kind: str, version: int, 
             f"{name} was written by a newer pcnde_bridge (format {found_version}; this one reads "
             f"up to {version}). Upgrade the package: pip install --upgrade pcnde-bridge."
         )
+
+
+def sha256_arrays(arrays: Mapping[str, AnyArray]) -> str:
+    """Return the SHA-256 checksum of named arrays, as 64 hexadecimal digits.
+
+    Names, their order, shapes, kinds and every value count.  Byte order and memory
+    layout do not.
+
+    Parameters
+    ----------
+    arrays : mapping of str to ndarray
+        Numbers, booleans or text; arrays of Python objects are not allowed.
+
+    Raises
+    ------
+    TypeError
+        If an array holds Python objects.
+    """
+    digest = hashlib.sha256()
+    for name, array in arrays.items():
+        if array.dtype.hasobject:
+            raise TypeError(f"array {name!r} holds Python objects; it has no checksum")
+        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+        digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
+        digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
+    return digest.hexdigest()

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
 # Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
@@ -22,7 +23,7 @@ _LARGEST_UNPACKED, _LARGEST_RATIO = 1 << 25, 4
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: StrPath) -> Iterator[Path]:
     """Write a file so that it appears complete or not at all.
 
     The temporary file replaces ``path`` when the block ends without an error; otherwise it
@@ -67,7 +68,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
-def write_json(path: str | os.PathLike[str], data: Any, indent: int | None = 1) -> None:
+def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:
     """Write a JSON file atomically.
 
     Parameters
@@ -88,7 +89,7 @@ def write_json(path: str | os.PathLike[str], data: Any, indent: int | None = 1) 
         temporary.write_text(json.dumps(data, indent=indent) + "\n", encoding="utf-8")
 
 
-def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
+def check_writable(path: StrPath, size: int = 0) -> None:
     """Raise if a file could not be written; to be called before a long computation.
 
     Parameters
@@ -118,7 +119,7 @@ def check_writable(path: str | os.PathLike[str], size: int = 0) -> None:
         )
 
 
-def remove_leftovers(path: str | os.PathLike[str]) -> None:
+def remove_leftovers(path: StrPath) -> None:
     """Remove temporary files of a process that was killed while it wrote a file.
 
     Use it only for files that no other process may be writing.
@@ -144,7 +145,7 @@ def make_folder(folder: Path) -> None:
         raise FileError(f"Cannot create the folder {folder}: {error}.") from error
 
 
-def _target_and_temporary(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+def _target_and_temporary(path: StrPath) -> tuple[Path, Path]:
     """Return the file that a path leads to and a temporary file beside it, or raise."""
     target = Path(path).resolve()
     if not target.parent.is_dir():
@@ -161,7 +162,7 @@ def _create(path: Path) -> None:
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
 
 
-def _cannot_write(path: str | os.PathLike[str], reason: str) -> FileError:
+def _cannot_write(path: StrPath, reason: str) -> FileError:
     return FileError(f"cannot write {str(path)!r}: {reason}")
 
 
@@ -176,7 +177,7 @@ def _reason(error: OSError, target: Path) -> str:
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+def reading(path: StrPath, what: str) -> Iterator[None]:
     """Turn any failure to read a file into a ``FileError`` that names the file.
 
     Damaged bytes can make a reader raise almost any exception; this is the one place
@@ -226,7 +227,7 @@ def check_file(path: Path, what: str) -> None:
         raise DataNotFoundError(f"There is no file {path}; check the path.")
 
 
-def as_paths(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
+def as_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:
     """Return one path, or several, as a list."""
     return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
 
@@ -293,3 +294,13 @@ def check_members(archive: zipfile.ZipFile, stored: int) -> None:
         if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
             raise ValueError(f"its member {name!r} leads out of it")
     check_claim(sum(member.file_size for member in archive.infolist()), stored)
+
+
+def cache_folder(cache: StrPath | None) -> Path:
+    """Return the given folder, else ``PCNDE_CACHE``, else the user's cache folder."""
+    chosen = cache or os.environ.get("PCNDE_CACHE")
+    if chosen:
+        return Path(chosen).expanduser()
+    import pooch
+
+    return Path(pooch.os_cache("pcnde_bridge"))

@@ -41,11 +41,9 @@ def watched() -> Iterator[Callable[[], None]]:
         Function without arguments, to be called regularly, that raises KeyboardInterrupt
         if a Ctrl-C was dropped.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler and not isinstance(before, _Watch):
+    known = before is signal.default_int_handler or isinstance(before, _Watch)
+    if not known or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
     watch = before if isinstance(before, _Watch) else _Watch()

@@ -29,21 +29,18 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
+import operator
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Mapping
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from collections.abc import Callable, Generator, Mapping
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.progress import TaskProgress
 from pcnde_bridge._utils.result_folder import ResultFolder
 from pcnde_bridge._utils.validation import whole
@@ -115,12 +112,8 @@ def processes(workers: int, threads: int | None = 1) -> Callable[[], Executor]:
         If ``workers`` is not a whole number ≥ 1.
     """
     workers = whole("workers", workers, 1)
-
-    def create() -> Executor:
-        spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
-        return ProcessPoolExecutor(workers, spawn, initializer=_set_threads, initargs=(threads,))
-
-    return create
+    spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
+    return partial(futures.ProcessPoolExecutor, workers, spawn, _set_threads, (threads,))
 
 
 def _set_threads(threads: int | None) -> None:
@@ -135,7 +128,7 @@ def run(
     *,
     executor: Workers | None = None,
     retries: int = 1,
-    folder: str | os.PathLike[str] | None = None,
+    folder: StrPath | None = None,
     facts: Mapping[str, Any] | None = None,
     progress: bool = True,
 ) -> Outcome:
@@ -187,13 +180,17 @@ def run(
     >>> run(abs, {"first": -1, "second": 2}, progress=False).results
     {'first': 1, 'second': 2}
     """
-    _check_names(tasks)
+    for name in tasks:
+        if not _NAME.fullmatch(name):
+            raise InputError(
+                f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
+            )
     stored = None if folder is None else ResultFolder(folder, facts or {})
     found = {name: None if stored is None else stored.read(name) for name in tasks}
     results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
     failures: dict[str, str] = {}
-    names = [name for name in tasks if name not in results]
-    finished = _run(function, tasks, names, executor, _Retries(retries))
+    missing = {name: task for name, task in tasks.items() if name not in results}
+    finished = _Run(function, missing, executor, retries).results()
     shown = TaskProgress(len(tasks), len(results), progress)
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
     with contextlib.closing(finished), shown as bar:
@@ -233,74 +230,29 @@ def each(
     TaskError
         If a task failed.
     """
-    calls = {name: (function, arguments) for name, arguments in tasks.items()}
-    return list(run(_call, calls, executor=executor, progress=progress).check().values())
-
-
-def _call(call: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
-    function, arguments = call
-    return function(*arguments)
-
-
-def _check_names(names: Iterable[str]) -> None:
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise InputError(
-                f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
-            )
-
-
-class _Retries:
-    """Decision whether a failed task is repeated."""
-
-    def __init__(self, retries: int) -> None:
-        self._retries = retries
-        self._failed: Counter[str] = Counter()
-
-    def are_used_up(self, name: str, error: BaseException) -> bool:
-        self._failed[name] += 1
-        if isinstance(error, PCNDEError) or self._failed[name] > self._retries:
-            return True
-        _log.warning("Task %s failed and is repeated: %s", name, _words(error))
-        return False
+    calls = {name: partial(function, *arguments) for name, arguments in tasks.items()}
+    return list(run(operator.call, calls, executor=executor, progress=progress).check().values())
 
 
 def _words(error: BaseException) -> str:
     return str(error) if isinstance(error, PCNDEError) else f"{type(error).__name__}: {error}"
 
 
-def _run(
-    function: Callable[[Task], Any],
-    tasks: Mapping[str, Task],
-    names: list[str],
-    executor: Workers | None,
-    retries: _Retries,
-) -> _Finished:
-    """Return an iterator over the outcomes of tasks, in the order in which they finish."""
-    if executor is None:
-        return _run_here(function, tasks, names, retries)
-    return _PoolRun(function, tasks, names, executor, retries).results()
+class _ThisProcess(Executor):
+    """Executor that runs each task when it is submitted."""
 
+    _max_workers = 1
 
-def _run_here(
-    function: Callable[[Task], Any], tasks: Mapping[str, Task], names: list[str], retries: _Retries
-) -> _Finished:
-    """Run tasks in this process, one after the other."""
-    waiting = deque(names)
-    while waiting:
-        name = waiting[0]
-        finished: tuple[str, Any, str | None]
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
         try:
-            finished = name, function(tasks[name]), None
+            future.set_result(function(*args, **kwargs))
         except Exception as error:
-            if not retries.are_used_up(name, error):
-                continue
-            finished = name, None, _words(error)
-        waiting.popleft()
-        yield finished
+            future.set_exception(error)
+        return future
 
 
-class _PoolRun:
+class _Run:
     """Tasks on an executor, with a new pool whenever a worker process dies.
 
     A process that dies takes its pool and the tasks of all its processes with it, and it is
@@ -312,17 +264,18 @@ class _PoolRun:
         self,
         function: Callable[[Any], Any],
         tasks: Mapping[str, Any],
-        names: list[str],
-        executor: Workers,
-        retries: _Retries,
+        executor: Workers | None,
+        retries: int,
     ) -> None:
         self._function, self._tasks, self._retries = function, tasks, retries
+        executor = executor or _ThisProcess()
         self._create = None if isinstance(executor, Executor) else executor
         self._pool = executor if isinstance(executor, Executor) else executor()
         # Pools know their size; dask has none, and its scheduler has a queue of its own.
-        self._width = getattr(self._pool, "_max_workers", None) or len(names)
-        self._waiting, self._suspects = deque(names), deque[str]()
+        self._width = getattr(self._pool, "_max_workers", None) or len(tasks)
+        self._waiting, self._suspects = deque(tasks), deque[str]()
         self._running: dict[Future[Any], str] = {}
+        self._failed: Counter[str] = Counter()
 
     def results(self) -> _Finished:
         """Yield the outcome of each task when it is known."""
@@ -357,9 +310,9 @@ class _PoolRun:
 
     def _collect(self) -> Generator[tuple[str, Any, str | None], None, dict[str, BaseException]]:
         """Yield tasks that finished; return those that were lost with the pool."""
-        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+        done, _ = futures.wait(self._running, return_when=futures.FIRST_COMPLETED)
         if any(isinstance(future.exception(), BrokenExecutor) for future in done):
-            done, _ = wait(self._running)
+            done, _ = futures.wait(self._running)
         lost: dict[str, BaseException] = {}
         for future in done:
             name, error = self._running.pop(future), future.exception()
@@ -367,23 +320,29 @@ class _PoolRun:
                 yield name, future.result(), None
             elif isinstance(error, BrokenExecutor):
                 lost[name] = error
-            elif self._retries.are_used_up(name, error):
+            elif self._is_final(name, error):
                 yield name, None, _words(error)
             else:
                 self._waiting.append(name)
         return lost
 
     def _blame(self, lost: Mapping[str, BaseException]) -> _Finished:
-        """Yield a lost task that ran alone and has no retries left; else mark all as suspects."""
-        if len(lost) == 1:
-            ((name, error),) = lost.items()
-            if self._retries.are_used_up(name, error):
-                yield name, None, _DIED
-                return
-        self._suspects.extend(lost)
+        """Yield the task that broke the pool alone once too often; suspect lost tasks otherwise."""
+        if len(lost) == 1 and self._is_final(*next(iter(lost.items()))):
+            yield next(iter(lost)), None, _DIED
+        else:
+            self._suspects.extend(lost)
+
+    def _is_final(self, name: str, error: BaseException) -> bool:
+        """Return whether a task that has failed is not repeated."""
+        self._failed[name] += 1
+        if isinstance(error, PCNDEError) or self._failed[name] > self._retries:
+            return True
+        _log.warning("Task %s failed and is repeated: %s", name, _words(error))
+        return False
 
     def _close(self, complete: bool) -> None:
-        """Cancel running tasks; a pool that was created here is shut down."""
+        """Cancel what still runs; a pool that was created here is shut down."""
         for future in self._running:
             future.cancel()
         if self._create is None:

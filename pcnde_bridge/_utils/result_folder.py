@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import archive_kind, read_archive, write_archive
 from pcnde_bridge._utils.files import check_writable, make_folder
 from pcnde_bridge.errors import FileError, InputError
@@ -38,7 +38,7 @@ class ResultFolder:
         If the folder cannot be written.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], facts: Mapping[str, Any]) -> None:
+    def __init__(self, folder: StrPath, facts: Mapping[str, Any]) -> None:
         self._folder = Path(folder)
         self._facts = json.loads(json.dumps(facts))  # as read from a file: tuples become lists
         make_folder(self._folder)
@@ -104,7 +104,7 @@ class ResultFolder:
             ) from error
 
 
-def remove_results(folder: str | os.PathLike[str]) -> None:
+def remove_results(folder: StrPath) -> None:
     """Remove the results stored in a folder, and the folder if it is then empty."""
     for path in Path(folder).glob("*.npz"):
         if archive_kind(path) == _KIND:

@@ -39,10 +39,7 @@ def finite(name: str, value: Any, unit: str = "") -> float:
     InputError
         If it is not a real number, or not finite.
     """
-    number = _real(name, value, unit)
-    if not math.isfinite(number):
-        raise InputError(f"{name} must be finite{_in(unit)}, got {value!r}.")
-    return number
+    return _real(name, value, unit, "finite", -math.inf)
 
 
 def positive(name: str, value: Any, unit: str = "") -> float:
@@ -53,17 +50,16 @@ def positive(name: str, value: Any, unit: str = "") -> float:
     InputError
         If it is not a real number, not finite, or not positive.
     """
-    number = _real(name, value, unit)
-    if not 0.0 < number < math.inf:
-        raise InputError(f"{name} must be positive and finite{_in(unit)}, got {value!r}.")
-    return number
+    return _real(name, value, unit, "positive and finite", 0.0)
 
 
-def _real(name: str, value: Any, unit: str) -> float:
+def _real(name: str, value: Any, unit: str, rule: str, above: float) -> float:
     # A truth value is one of Python's real numbers, but not meant as one.
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise InputError(f"{name} must be a number{_in(unit)}, got {value!r}.")
-    return float(value)
+        rule = "a number"
+    elif above < float(value) < math.inf:
+        return float(value)
+    raise InputError(f"{name} must be {rule}{_in(unit)}, got {value!r}.")
 
 
 def _in(unit: str) -> str:

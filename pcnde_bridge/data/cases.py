@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from pcnde_bridge._typing import AnyArray, Array
-from pcnde_bridge._utils.checksum import sha256_arrays
+from pcnde_bridge._utils.archive import sha256_arrays
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._utils.cache import cache_folder
+from pcnde_bridge._utils.files import cache_folder
 from pcnde_bridge._utils.validation import real_array, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, InputError

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.cache import cache_folder
+from pcnde_bridge._utils.files import cache_folder
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.published import read_authors_folder
 from pcnde_bridge.errors import DataNotFoundError, FileError

@@ -11,7 +11,12 @@ import zipfile
 import numpy as np
 import pytest
 
-from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
+from pcnde_bridge._utils.archive import (
+    interpreting,
+    read_archive,
+    sha256_arrays,
+    write_archive,
+)
 from pcnde_bridge.errors import FileError
 
 KIND, VERSION = "pcnde-thing", 3
@@ -284,3 +289,20 @@ def test_contents_that_do_not_fit_are_an_error_of_the_file(error, reason):
 def test_an_error_of_a_file_is_not_wrapped_again():
     with pytest.raises(FileError, match=r"^a\.npz is damaged$"), interpreting("b.npz", "thing"):
         raise FileError("a.npz is damaged")
+
+
+def test_sha256_arrays_sees_contents_not_layout():
+    array = np.arange(6.0).reshape(2, 3)
+    known = sha256_arrays({"a": array, "t": np.array(["x", "yy"])})
+    assert known == sha256_arrays({"a": np.asfortranarray(array), "t": np.array(["x", "yy"])})
+    assert known == sha256_arrays({"a": array.astype(">f8"), "t": np.array(["x", "yy"], ">U2")})
+    for other in (
+        {"b": array, "t": np.array(["x", "yy"])},
+        {"a": array.reshape(3, 2), "t": np.array(["x", "yy"])},
+        {"a": array.astype(np.float32), "t": np.array(["x", "yy"])},
+        {"a": array, "t": np.array(["xy", "y"])},
+        {"t": np.array(["x", "yy"]), "a": array},
+    ):
+        assert sha256_arrays(other) != known
+    with pytest.raises(TypeError, match="holds Python objects"):
+        sha256_arrays({"a": np.array([None])})
