@@ -25,11 +25,7 @@ _MODEL_KINDS = {"pcnde-model", "pcnde-ensemble"}  # load_model reads both
 
 
 def write_archive(
-    path: StrPath,
-    kind: str,
-    version: int,
-    facts: Mapping[str, Any],
-    arrays: Mapping[str, AnyArray],
+    path: StrPath, kind: str, version: int, facts: Mapping[str, Any], arrays: Mapping[str, AnyArray]
 ) -> None:
     """Write an archive atomically.
 

@@ -130,10 +130,7 @@ def waveform_note(choices: Choices) -> str:
 def _slider(name: str, label: str, span: Span, source: str, factor: float = 1) -> html.Div:
     minimum, low, high, maximum, step, start = (round(factor * v, _DIGITS) for v in span)
     limits = f"{low:.2g}" if low == high else f"{low:.2g} … {high:.2g}"
-    heading = [
-        html.Label(label, htmlFor=name),
-        html.Small(f"{source} {limits}".replace("-", "−")),
-    ]
+    heading = [html.Label(label, htmlFor=name), html.Small(f"{source} {limits}".replace("-", "−"))]
     return html.Div(
         [
             html.Div(heading, className="label"),

@@ -15,7 +15,7 @@ from pcnde_bridge._utils.files import atomic_write, make_folder, write_json
 from pcnde_bridge._version import __version__
 from pcnde_bridge.config import PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines import Engine, EngineName, select_engine
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.evaluation.baselines import Unchanged
 from pcnde_bridge.hemodynamics.synthetic import synthetic
@@ -71,7 +71,7 @@ class Demo(NamedTuple):
 def run_demo(
     out: StrPath = "demo",
     seed: int = 0,
-    engine: EngineName | Engine = "auto",
+    engine: EngineChoice = "auto",
     config: PCNDEConfig | str = "fast",
     *,
     cases: Cases | None = None,

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from pcnde_bridge._utils.files import check_writable
-from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import PRESETS, Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import FileError, InputError
@@ -49,7 +49,7 @@ WorkersOption = Annotated[int, option("Number of parallel processes.", min=1)]
 JsonOption = Annotated[Path | None, option("Also write the results to this JSON file.", "--json")]
 
 
-def settings_of(preset: str, path: Path | None) -> PCNDEConfig | ClosureConfig:
+def settings_of(preset: str, path: Path | None) -> Config:
     """Return the settings of ``--preset`` with the changes of ``--config``."""
     settings = resolve_config(preset)
     if path is None:

@@ -6,7 +6,7 @@ import types
 from collections.abc import Mapping
 from typing import Any
 
-from pcnde_bridge.config.settings import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config.settings import ClosureConfig, Config, PCNDEConfig
 from pcnde_bridge.config.validation import current_names
 from pcnde_bridge.errors import InputError
 
@@ -28,13 +28,13 @@ Twelve equal steps solve the momentum equation as accurately as the adaptive ste
 PHYSICS = ClosureConfig()
 """Physics-based closures, see :mod:`pcnde_bridge.engines.jax.closures`."""
 
-PRESETS: Mapping[str, PCNDEConfig | ClosureConfig] = types.MappingProxyType(
+PRESETS: Mapping[str, Config] = types.MappingProxyType(
     {"paper": PAPER, "published-code": PUBLISHED_CODE, "fast": FAST, "physics": PHYSICS}
 )
 """The named configurations that ``--preset`` and ``PCNDE.fit(config=…)`` accept."""
 
 
-def config_from(settings: Any) -> PCNDEConfig | ClosureConfig:
+def config_from(settings: Any) -> Config:
     """Return the configuration stored in a file, which may have been written by an older version.
 
     Parameters
@@ -58,7 +58,7 @@ def config_from(settings: Any) -> PCNDEConfig | ClosureConfig:
     return PCNDEConfig.from_dict(settings)
 
 
-def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | ClosureConfig:
+def resolve_config(config: Config | str) -> Config:
     """Return a configuration given as an object or by the name of its preset.
 
     Raises
@@ -66,14 +66,14 @@ def resolve_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig | C
     InputError
         If there is no preset of that name.
     """
-    if isinstance(config, PCNDEConfig | ClosureConfig):
+    if isinstance(config, Config):
         return config
     if isinstance(config, str) and config in PRESETS:
         return PRESETS[config]
     raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.")
 
 
-def resolve_pcnde_config(config: PCNDEConfig | ClosureConfig | str) -> PCNDEConfig:
+def resolve_pcnde_config(config: Config | str) -> PCNDEConfig:
     """Return a configuration of the paper's equations, given as an object or by its preset.
 
     Raises

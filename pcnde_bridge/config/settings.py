@@ -481,3 +481,7 @@ class ClosureConfig(Settings):
     losses: LossClosure = LossClosure()
     wall: WallClosure = WallClosure()
     correction: CorrectionClosure = CorrectionClosure()
+
+
+Config = PCNDEConfig | ClosureConfig
+"""Settings of either kind of model."""

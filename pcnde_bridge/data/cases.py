@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from pcnde_bridge._typing import AnyArray, Array
+from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import sha256_arrays
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
@@ -265,9 +264,7 @@ class Cases:
         taken._fill(arrays, self.period, self._labels.iloc[positions].reset_index(drop=True))
         return taken
 
-    def split(
-        self, how: str | os.PathLike[str] | Mapping[str, Sequence[Sequence[int]]] = "paper"
-    ) -> Split:
+    def split(self, how: StrPath | Mapping[str, Sequence[Sequence[int]]] = "paper") -> Split:
         """Divide the data set into training and test cases.
 
         Parameters
@@ -297,7 +294,7 @@ class Cases:
 
     # ---- files ---------------------------------------------------------
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the data set to a file, atomically.
 
         Parameters
@@ -314,7 +311,7 @@ class Cases:
         write_cases(path, self._contents(), self.fingerprint())
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Cases:
+    def load(cls, path: StrPath) -> Cases:
         """Read a data set written by :meth:`save`.
 
         Parameters

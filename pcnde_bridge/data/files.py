@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed
@@ -22,9 +21,7 @@ FORMAT_VERSION = 1
 _SUFFIXES = (".npz", ".h5", ".hdf5")
 
 
-def write_cases(
-    path: str | os.PathLike[str], contents: Mapping[str, AnyArray], fingerprint: str
-) -> None:
+def write_cases(path: StrPath, contents: Mapping[str, AnyArray], fingerprint: str) -> None:
     """Write the arrays of a data set atomically.
 
     Raises
@@ -47,7 +44,7 @@ def write_cases(
             _write_h5(temporary, header, contents)
 
 
-def read_cases(path: str | os.PathLike[str]) -> dict[str, AnyArray]:
+def read_cases(path: StrPath) -> dict[str, AnyArray]:
     """Read the arrays written by :func:`write_cases`, and the ``fingerprint``, unchecked.
 
     Raises
@@ -81,7 +78,7 @@ def _check_header(path: Path, header: Mapping[str, Any]) -> None:
         )
 
 
-def _suffix(path: str | os.PathLike[str]) -> str:
+def _suffix(path: StrPath) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
         raise FileError(

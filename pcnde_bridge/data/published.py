@@ -8,13 +8,12 @@ points are 0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError
@@ -30,7 +29,7 @@ _CASE = re.compile(r"case_(0|[1-9]\d*)_(0|[1-9]\d*)")
 _MOST_PROBLEMS = 10
 
 
-def read_authors_folder(folder: str | os.PathLike[str]) -> Cases:
+def read_authors_folder(folder: StrPath) -> Cases:
     """Read a data set in the layout of the published one, complete or in part.
 
     The pressure is variable 1 divided by the *undeformed* area: the published averages

@@ -12,14 +12,15 @@ from pcnde_bridge._utils import interrupts
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 
-__all__ = ["Engine", "EngineName", "select_engine"]
+__all__ = ["Engine", "EngineChoice", "EngineName", "select_engine"]
 
 EngineName = Literal["auto", "julia", "jax"]
+EngineChoice = EngineName | Engine
 
 _log = logging.getLogger("pcnde_bridge")
 
 
-def select_engine(name: EngineName | Engine = "auto") -> Engine:
+def select_engine(name: EngineChoice = "auto") -> Engine:
     """Start an engine, once per process.
 
     Parameters

@@ -13,7 +13,7 @@ from typing import Any
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import write_json
 from pcnde_bridge._version import __version__
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.evaluation.baselines import Baseline
@@ -50,9 +50,7 @@ class Row:
     reason: str | None = None
 
 
-def checkpoint_name(
-    train: Cases, config: PCNDEConfig | ClosureConfig, engine: str, seed: int
-) -> str:
+def checkpoint_name(train: Cases, config: Config, engine: str, seed: int) -> str:
     """Return the name of a checkpoint that is unique to the cases, settings and seed.
 
     Parameters

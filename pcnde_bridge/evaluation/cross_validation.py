@@ -8,18 +8,17 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import each_waveform_and_geometry
-from pcnde_bridge.engines import EngineName
-from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 
 
 def cross_validate(
     cases: Cases,
-    config: PCNDEConfig | ClosureConfig | str = "paper",
-    engine: EngineName | Engine = "auto",
+    config: Config | str = "paper",
+    engine: EngineChoice = "auto",
     seed: int = 0,
     *,
     executor: Workers | None = None,

@@ -9,10 +9,9 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge._utils.validation import whole_seeds
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines import EngineName
-from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 from pcnde_bridge.model.kinds import kind_of
@@ -21,9 +20,9 @@ from pcnde_bridge.model.kinds import kind_of
 def sweep(
     train: Cases,
     held_out: Cases | None,
-    configs: Mapping[str, PCNDEConfig | ClosureConfig | str],
+    configs: Mapping[str, Config | str],
     seeds: Sequence[int] = (0,),
-    engine: EngineName | Engine = "auto",
+    engine: EngineChoice = "auto",
     *,
     executor: Workers | None = None,
     retries: int = 1,

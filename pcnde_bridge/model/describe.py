@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Mapping
 from typing import Any
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive
 from pcnde_bridge._utils.validation import listed
-from pcnde_bridge.config import PRESETS, ClosureConfig, PCNDEConfig, config_from
+from pcnde_bridge.config import PRESETS, Config, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, PCNDEError
 from pcnde_bridge.model.serialization import (
@@ -30,7 +29,7 @@ _FORMATS = {
 }
 
 
-def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+def describe(path: StrPath) -> dict[str, Any]:
     """Read the facts that are needed to reproduce a fit.
 
     Parameters
@@ -103,7 +102,7 @@ def _data_set(cases: Cases) -> dict[str, Any]:
     }
 
 
-def nearest_preset(config: PCNDEConfig | ClosureConfig) -> tuple[str, dict[str, Any]]:
+def nearest_preset(config: Config) -> tuple[str, dict[str, Any]]:
     """Return the preset with the fewest settings that differ, and these settings.
 
     Examples

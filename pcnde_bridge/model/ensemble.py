@@ -11,7 +11,6 @@ a small ensemble is fitted to the rest.  After Lakshminarayanan, Pritzel and Blu
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,29 +19,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.archive import (
-    archive_kind,
-    interpreting,
-    read_archive,
-    write_archive,
-)
+from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, write_archive
 from pcnde_bridge._utils.parallel import Outcome, Workers, run
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import Positions, neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.engines import EngineName
-from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
-from pcnde_bridge.model.fit_task import (
-    FitTask,
-    common_facts,
-    fit_model,
-    model_of,
-    same_everywhere,
-)
+from pcnde_bridge.model.fit_task import FitTask, common_facts, fit_model, model_of, same_everywhere
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
@@ -93,15 +80,15 @@ class Ensemble(Predictor):
     def fit(
         cls,
         cases: Cases,
-        config: PCNDEConfig | ClosureConfig | str = "fast",
-        engine: EngineName | Engine = "auto",
+        config: Config | str = "fast",
+        engine: EngineChoice = "auto",
         seed: int = 0,
         *,
         members: int = 5,
         folds: int = 3,
         executor: Workers | None = None,
         retries: int = 1,
-        folder: str | os.PathLike[str] | None = None,
+        folder: StrPath | None = None,
         progress: bool = True,
     ) -> Ensemble:
         """Fit the members, and calibrate their spread on training cases that are left out.
@@ -261,7 +248,7 @@ class Ensemble(Predictor):
             samples[name] = means[name] + away * (wanted / np.where(agree, 1.0, spread))
         return replace(first, **means, samples=samples)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the ensemble into one file, atomically and without pickle.
 
         Raises
@@ -279,7 +266,7 @@ class Ensemble(Predictor):
         write_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, facts, arrays)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> Ensemble:
+    def load(cls, path: StrPath, engine: EngineChoice = "auto") -> Ensemble:
         """Read an ensemble that :meth:`save` has written; see :meth:`PCNDE.load`.
 
         Raises
@@ -306,9 +293,7 @@ class Ensemble(Predictor):
         return f"Ensemble({len(self.members)} × {self.members[0]!r})"
 
 
-def load_model(
-    path: str | os.PathLike[str], engine: EngineName | Engine = "auto"
-) -> PCNDE | Ensemble:
+def load_model(path: StrPath, engine: EngineChoice = "auto") -> PCNDE | Ensemble:
     """Read a model or an ensemble, whichever the file holds.
 
     Raises
@@ -332,8 +317,8 @@ def _fold_names(number: int) -> list[str]:
 def _tasks(
     cases: Cases,
     left_out: Sequence[Positions],
-    config: PCNDEConfig | ClosureConfig,
-    engine: EngineName | Engine,
+    config: Config,
+    engine: EngineChoice,
     seed: int,
     members: int,
 ) -> dict[str, FitTask]:
@@ -347,10 +332,7 @@ def _tasks(
 
 
 def _results(
-    outcome: Outcome,
-    cases: Cases,
-    left_out: Sequence[Positions],
-    engine: EngineName | Engine,
+    outcome: Outcome, cases: Cases, left_out: Sequence[Positions], engine: EngineChoice
 ) -> tuple[list[PCNDE], Calibration, float]:
     """Return the members, their calibration on the folds, and the seconds of all fits."""
     models = {name: model_of(result, engine) for name, result in outcome.results.items()}

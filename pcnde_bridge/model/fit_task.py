@@ -9,11 +9,10 @@ from typing import Any, cast
 import pandas as pd
 
 from pcnde_bridge._utils.parallel import run
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.engines import EngineName, select_engine
-from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines import EngineChoice, EngineName, select_engine
 from pcnde_bridge.model.metrics import pooled
 from pcnde_bridge.model.pcnde import PCNDE
 
@@ -37,8 +36,8 @@ class FitTask:
     """
 
     train: Cases
-    config: PCNDEConfig | ClosureConfig
-    engine: EngineName | Engine
+    config: Config
+    engine: EngineChoice
     seed: int
     held_out: Cases | None = None
 
@@ -53,7 +52,7 @@ def fit_model(task: FitTask) -> dict[str, Any]:
     return {"facts": facts, **arrays}
 
 
-def model_of(result: dict[str, Any], engine: EngineName | Engine) -> PCNDE:
+def model_of(result: dict[str, Any], engine: EngineChoice) -> PCNDE:
     """Return the model from the result of :func:`fit_model`."""
     arrays = {name: value for name, value in result.items() if name != "facts"}
     return PCNDE.from_archive(result["facts"], arrays, engine)
@@ -103,9 +102,7 @@ def _fit_and_score(task: FitTask) -> dict[str, float]:
     return {**scores, "seconds": float(model.provenance["seconds"])}
 
 
-def common_facts(
-    study: str, cases: Cases, config: PCNDEConfig | ClosureConfig, engine: EngineName | Engine
-) -> dict[str, Any]:
+def common_facts(study: str, cases: Cases, config: Config, engine: EngineChoice) -> dict[str, Any]:
     """Return the facts that identify a study, for :func:`pcnde_bridge._utils.parallel.run`."""
     return {
         "study": study,
@@ -115,7 +112,7 @@ def common_facts(
     }
 
 
-def same_everywhere(engine: EngineName | Engine) -> EngineName | Engine:
+def same_everywhere(engine: EngineChoice) -> EngineChoice:
     """Replace ``auto`` by the engine that it selects here, so that all workers use the same.
 
     Raises

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import fields
@@ -13,9 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.validation import check_finite, check_increasing, check_shape, positive
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import ClosureConfig, Config, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid, check_resolution
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
@@ -29,7 +28,6 @@ from pcnde_bridge.training.procedure import Procedure
 from pcnde_bridge.training.trainer import Trainer, staged_training
 from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
 
-Config = PCNDEConfig | ClosureConfig
 AnyParameters = Parameters | ClosureParameters
 
 
@@ -51,7 +49,7 @@ class Kind(ABC):
         config: Config,
         engine: Engine,
         seed: int,
-        checkpoint: str | os.PathLike[str] | None,
+        checkpoint: StrPath | None,
         progress: bool | OnIteration,
     ) -> tuple[Config, Any]:
         """Train, see :meth:`pcnde_bridge.PCNDE.fit`; return the final settings and state."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -10,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import PUBLISHED_CODE, ClosureConfig, PCNDEConfig, resolve_config
+from pcnde_bridge.config import PUBLISHED_CODE, Config, PCNDEConfig, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
-from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
@@ -61,7 +61,7 @@ class PCNDE(Predictor):
 
     def __init__(
         self,
-        config: PCNDEConfig | ClosureConfig,
+        config: Config,
         parameters: Parameters | ClosureParameters,
         grid: Grid,
         engine: Engine,
@@ -85,10 +85,10 @@ class PCNDE(Predictor):
     def fit(
         cls,
         cases: Cases,
-        config: PCNDEConfig | ClosureConfig | str = "paper",
-        engine: EngineName | Engine = "auto",
+        config: Config | str = "paper",
+        engine: EngineChoice = "auto",
         seed: int = 0,
-        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint: StrPath | None = None,
         progress: bool | Callable[[Iteration], None] = True,
     ) -> PCNDE:
         """Train on averaged 3D simulations, as in section 2.4 of the paper.
@@ -162,10 +162,7 @@ class PCNDE(Predictor):
 
     @classmethod
     def from_published_weights(
-        cls,
-        folder: str | os.PathLike[str],
-        config: PCNDEConfig = PUBLISHED_CODE,
-        engine: EngineName | Engine = "auto",
+        cls, folder: StrPath, config: PCNDEConfig = PUBLISHED_CODE, engine: EngineChoice = "auto"
     ) -> PCNDE:
         """Create the model with the authors' published weights of flow and area.
 
@@ -330,7 +327,7 @@ class PCNDE(Predictor):
             samples,
         )
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the model into one file, atomically and without pickle.
 
         Raises
@@ -341,7 +338,7 @@ class PCNDE(Predictor):
         write_archive(path, MODEL_FORMAT, MODEL_VERSION, *self.to_archive())
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], engine: EngineName | Engine = "auto") -> PCNDE:
+    def load(cls, path: StrPath, engine: EngineChoice = "auto") -> PCNDE:
         """Read a model that :meth:`save` has written.
 
         Parameters
@@ -378,7 +375,7 @@ class PCNDE(Predictor):
         cls,
         facts: Mapping[str, Any],
         arrays: Mapping[str, npt.NDArray[Any]],
-        engine: EngineName | Engine = "auto",
+        engine: EngineChoice = "auto",
         where: str = "The archive",
     ) -> PCNDE:
         """Create a model from the result of :meth:`to_archive`; ``where`` names the source.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import UNITS
@@ -170,7 +169,7 @@ class Prediction:
         result: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
         return result
 
-    def save(self, path: str | os.PathLike[str]) -> list[Path]:
+    def save(self, path: StrPath) -> list[Path]:
         """Write the prediction to a file in the format that its ending names.
 
         Parameters

@@ -13,7 +13,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import SYSTEMS
@@ -46,7 +46,7 @@ class Predictor(ABC):
         Source of the samples of a prediction; only a model of the preset ``physics`` has it.
     """
 
-    config: PCNDEConfig | ClosureConfig
+    config: Config
     grid: Grid
     engine: Engine
     novelty: Novelty | None = None

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge.config import PUBLISHED_CODE
@@ -27,7 +26,7 @@ paper's equation has 202, and they do not reproduce the paper's pressure errors.
 """
 
 
-def read_published_weights(folder: str | os.PathLike[str]) -> Parameters:
+def read_published_weights(folder: StrPath) -> Parameters:
     """Read flow and area parameters; the pressure stages' vectors are empty.
 
     Parameters

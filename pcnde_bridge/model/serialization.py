@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.archive import interpreting
-from pcnde_bridge.config import config_from
+from pcnde_bridge.config import Config, config_from
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.model.kinds import AnyParameters, Config, kind_of
+from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
 from pcnde_bridge.uncertainty.novelty import Novelty

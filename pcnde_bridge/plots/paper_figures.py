@@ -7,7 +7,6 @@ decorator :func:`paper_figure`, and list it in :data:`FIGURES`.
 from __future__ import annotations
 
 import logging
-import os
 import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge import plots, studies
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import atomic_write, make_folder
 from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge.config import PAPER, PCNDEConfig
@@ -368,7 +367,7 @@ def choose(only: Collection[str] = (), with_studies: bool = False) -> list[Paper
 
 def make_figures(
     data: FigureData,
-    out: str | os.PathLike[str],
+    out: StrPath,
     *,
     only: Collection[str] = (),
     with_studies: bool = False,

@@ -21,7 +21,7 @@ from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_grid
 from pcnde_bridge.data.splits import Positions
-from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.engines.protocol import Engine, Stage
 from pcnde_bridge.engines.staged import solve_area, undeformed
@@ -134,7 +134,7 @@ def compare_formulations(
     test: Cases | None = None,
     formulations: tuple[Formulation, ...] = FORMULATIONS,
     config: PCNDEConfig | str = PAPER,
-    engine: EngineName | Engine = "auto",
+    engine: EngineChoice = "auto",
     *,
     seed: int = 0,
     progress: bool | Callable[[Iteration], None] = True,

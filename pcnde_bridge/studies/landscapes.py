@@ -25,7 +25,7 @@ from pcnde_bridge._utils.validation import positive, whole
 from pcnde_bridge.config import PAPER, PCNDEConfig, Term, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines import EngineName, select_engine
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import InputError, SolveError
@@ -250,7 +250,7 @@ def explore_landscapes(
     cases: Cases,
     right_hand_sides: Mapping[str, tuple[Term, ...]] = RIGHT_HAND_SIDES,
     config: PCNDEConfig | str = PAPER,
-    engine: EngineName | Engine = "auto",
+    engine: EngineChoice = "auto",
     *,
     amplitude: float = 0.1,
     points: int = 21,

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
 from pcnde_bridge._utils.files import atomic_write, check_writable, remove_leftovers
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig, config_from
+from pcnde_bridge.config import Config, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import FileError, InputError
@@ -27,12 +26,12 @@ Restore = Callable[[dict[str, Any], Mapping[str, AnyArray]], _Restored]
 """Makes a state of a file's facts and arrays; may raise if they do not belong together."""
 
 
-def previous(path: str | os.PathLike[str]) -> Path:
+def previous(path: StrPath) -> Path:
     """Return the path of the checkpoint before the newest."""
     return Path(path).with_name(Path(path).name + ".previous")
 
 
-def remove(path: str | os.PathLike[str]) -> None:
+def remove(path: StrPath) -> None:
     """Remove a run's checkpoints, if there are any."""
     Path(path).unlink(missing_ok=True)
     previous(path).unlink(missing_ok=True)
@@ -56,11 +55,11 @@ class Checkpoint:
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        path: StrPath,
         kind: str,
         version: int,
         cases: Cases,
-        config: PCNDEConfig | ClosureConfig,
+        config: Config,
         engine: Engine,
     ) -> None:
         self.path = Path(path)

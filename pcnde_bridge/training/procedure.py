@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Generic, NamedTuple
 
 from pcnde_bridge._typing import AnyArray
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.training.history import Recorder
@@ -44,7 +44,7 @@ class Procedure(ABC, Generic[State]):
 
     checkpoint_format: ClassVar[tuple[str, int]]
     cases: Cases
-    config: PCNDEConfig | ClosureConfig
+    config: Config
     engine: Engine
 
     @abstractmethod

@@ -6,7 +6,6 @@ one needs, so that a run continued from a checkpoint repeats the interrupted one
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -15,7 +14,7 @@ from typing import Any, Generic, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
@@ -92,7 +91,7 @@ class Trainer(Generic[State]):
     def __init__(
         self,
         procedure: Procedure[State],
-        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint: StrPath | None = None,
         on_iteration: OnIteration | None = None,
         on_fit_end: Callable[[str], None] | None = None,
     ) -> None:

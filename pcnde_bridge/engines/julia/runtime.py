@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import ClosureConfig, PCNDEConfig
+from pcnde_bridge.config import Config, PCNDEConfig
 from pcnde_bridge.engines.julia.environment import (
     EXECUTABLE,
     PROJECT,
@@ -109,7 +109,7 @@ class Julia:
             return self._function("from_python")(*_memory(array))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
-        if isinstance(value, PCNDEConfig | ClosureConfig):
+        if isinstance(value, Config):
             return self._config(value)
         return value
 
@@ -121,7 +121,7 @@ class Julia:
             return tuple(map(self._to_python, value))
         return value
 
-    def _new_config(self, config: PCNDEConfig | ClosureConfig) -> Any:
+    def _new_config(self, config: Config) -> Any:
         """Return Julia's copy of the settings, passed as TOML of plain numbers and strings."""
         lines = [
             f"{group}.{name} = {json.dumps(value)}"
