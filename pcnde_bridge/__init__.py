@@ -76,7 +76,7 @@ __all__ = [
     "sweep",
 ]
 
-_ROOMS = (
+_SUBPACKAGES = (
     "app",
     "cli",
     "config",
@@ -96,10 +96,10 @@ _ROOMS = (
 
 def __getattr__(name: str) -> ModuleType:
     """Import a subpackage on first use, so that ``import pcnde_bridge`` is fast."""
-    if name in _ROOMS:
+    if name in _SUBPACKAGES:
         return import_module(f"pcnde_bridge.{name}")
     raise AttributeError(f"module 'pcnde_bridge' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *_ROOMS})
+    return sorted({*__all__, *_SUBPACKAGES})

@@ -69,7 +69,7 @@ def vessel(*places, blockage=0.6, z=Z):
     return 0.125 * (1 - blockage * taken)
 
 
-def waves(time=TIME):
+def waveforms(time=TIME):
     """Four inflows of three harmonics, all forward; shape (waveform, time)."""
     parts = ((1, 0.25, 0.3), (2, 0.12, 1.5), (3, 0.05, 2.0))
     wave = sum(a * np.cos(2 * np.pi * k * time + phase) for k, a, phase in parts)
@@ -77,7 +77,7 @@ def waves(time=TIME):
 
 
 VESSELS = np.array([vessel(2.0, blockage=b) for b in (0.3, 0.45, 0.6, 0.7)])
-INFLOW, AREA = waves()[WAVEFORM], VESSELS[GEOMETRY]
+INFLOW, AREA = waveforms()[WAVEFORM], VESSELS[GEOMETRY]
 
 
 def solve(parameters=PASSIVE, inflow=INFLOW, area=AREA, grid=GRID, config=CONFIG):

@@ -41,10 +41,10 @@ def test_public_names_exist_and_are_listed():
 
 
 def test_subpackages_are_attributes_and_nothing_else_is_listed():
-    rooms = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"_utils"} | {"errors"}
-    listed = {*pcnde_bridge.__all__, *rooms}
+    subpackages = {p.parent.name for p in ROOT.glob("*/__init__.py")} - {"_utils"} | {"errors"}
+    listed = {*pcnde_bridge.__all__, *subpackages}
     assert set(dir(pcnde_bridge)) == listed
-    code = "import pcnde_bridge as p\n" + "\n".join(f"p.{room}" for room in sorted(rooms))
+    code = "import pcnde_bridge as p\n" + "\n".join(f"p.{name}" for name in sorted(subpackages))
     subprocess.run([sys.executable, "-c", code], check=True)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = pcnde_bridge.nothing

@@ -9,7 +9,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1] / "pcnde_bridge"
 
 # The subpackages, lowest first.  A module may import from its own and from lower ones.
-ROOMS = (
+SUBPACKAGES = (
     "_version",
     "_typing",
     "errors",
@@ -53,7 +53,7 @@ def imported(path: Path, known: dict[str, Path]) -> set[str]:
     return found & set(known)
 
 
-def room(module: str) -> str:
+def subpackage(module: str) -> str:
     return [*module.split("."), "__init__"][1]
 
 
@@ -63,7 +63,7 @@ def test_imports_run_downward():
         f"{module} imports {other}"
         for module, path in known.items()
         for other in imported(path, known)
-        if ROOMS.index(room(other)) > ROOMS.index(room(module))
+        if SUBPACKAGES.index(subpackage(other)) > SUBPACKAGES.index(subpackage(module))
     ]
     assert not upward
 
@@ -75,4 +75,4 @@ def test_there_is_no_circle():
 
 
 def test_every_room_is_there():
-    assert {room(module) for module in modules()} == set(ROOMS)
+    assert {subpackage(module) for module in modules()} == set(SUBPACKAGES)

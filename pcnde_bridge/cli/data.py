@@ -85,7 +85,7 @@ def convert(
         given = [option for option, value in values.items() if value is not None]
         if name != source and given:
             wrong = given[0].replace("_", "-")
-            raise InputError(f"--{wrong} goes with --from {name}, not {source}.")
+            raise InputError(f"--{wrong} is an option of --from {name}, not of {source}.")
     cases = getattr(io, f"read_{source}")(
         files,
         **{name: value for name, value in of_format[source].items() if value is not None},

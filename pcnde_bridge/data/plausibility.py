@@ -144,7 +144,7 @@ def _balance(flow: Array, area: Array, time: Array, z: Array) -> Array:
 
 
 class Advice(NamedTuple):
-    """How to settle a question about units.
+    """Advice for numbers whose units are wrong or ambiguous.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def check_units(
     stated : collection of str
         Quantities whose units are stated; numbers of these alone are not checked.
     advice : Advice
-        How to settle the question.
+        Advice for the message.
     unique : bool
         Raise also if the numbers are usual in other units as well.
 
@@ -203,7 +203,7 @@ def check_units(
             "the units are ambiguous: the numbers are usual in CGS units, and with "
             f"{_listed(others)}. State the units (--units); if they are CGS, {advice.confirm}."
         )
-    # A volume balance that is off in all units is no matter of units: check_flow looks into it.
+    # A volume balance that is wrong in all units does not depend on them: check_flow checks it.
     doubts = [
         f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
         f"{usual.low:g} to {usual.high:g}"

@@ -1,7 +1,7 @@
 """Assembly of a data set from the results of vessels, the last step of every reader.
 
 Units, direction of the flow, the cycle and the grid are checked here.  Ambiguous results
-are rejected with the option that settles the question; nothing is flipped, cut or
+are rejected with the option that resolves the ambiguity; nothing is flipped, cut or
 interpolated unless requested.
 """
 
@@ -99,7 +99,7 @@ def to_cases(
     ------
     InputError
         If results are not usable or ambiguous; the message names the file and the option
-        that settles the question.
+        that resolves the ambiguity.
     """
     if not results:
         raise InputError("There are no results for a data set: name at least one file.")

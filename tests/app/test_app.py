@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waves
+from helpers import AREA, CONFIG, CORRECTED, GRID, INFLOW, TIME, VESSELS, Z, waveforms
 
 from pcnde_bridge import (
     PCNDE,
@@ -81,7 +81,7 @@ def test_controls_follow_the_training_data(model):
     choices = Choices.from_model(model)
     assert choices.from_training
     assert choices.any_grid
-    assert choices.base.samples(32) == pytest.approx(waves()[3], abs=1e-9)
+    assert choices.base.samples(32) == pytest.approx(waveforms()[3], abs=1e-9)
     assert (choices.scale.low, choices.scale.high) == pytest.approx((0.25, 1.0))
     assert (choices.blockage.low, choices.blockage.high) == pytest.approx((0.3, 0.7), abs=5e-3)
     assert choices.position.start == 2.0
@@ -124,7 +124,7 @@ def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
 
 
 def test_another_period_is_outside_as_in_predictions(model, explorer):
-    uploaded = table(0.8 * TIME, waves()[1])
+    uploaded = table(0.8 * TIME, waveforms()[1])
     waveform, _ = read_waveform(uploaded, "mine.csv", model)
     inputs = explorer.choices.inputs(0.5, 1.0, waveform=waveform)
     scores = explorer.novelty(inputs)
@@ -202,15 +202,15 @@ def test_download_equals_the_frame_of_the_prediction(model, explorer):
 
 
 def test_uploads_are_read_as_on_the_command_line(model, bound):
-    waveform, note = read_waveform(table(TIME, waves()[1]), "mine.csv", model)
-    assert waveform.samples(32) == pytest.approx(waves()[1], rel=1e-12)
+    waveform, note = read_waveform(table(TIME, waveforms()[1]), "mine.csv", model)
+    assert waveform.samples(32) == pytest.approx(waveforms()[1], rel=1e-12)
     assert "mine.csv: 32 time points over 1 s" in note
     time = 0.8 * np.arange(100) / 100
-    two = table(time, waves(time / 0.8)[2], time, header="time,first,second")
+    two = table(time, waveforms(time / 0.8)[2], time, header="time,first,second")
     waveform, note = read_waveform(two, "mine.csv", model)
     assert waveform.period == pytest.approx(0.8)
     assert waveform.n_terms == 15
-    assert waveform.samples(32) == pytest.approx(waves()[2], rel=1e-9)
+    assert waveform.samples(32) == pytest.approx(waveforms()[2], rel=1e-9)
     assert "resampled to the model's 32 time points; the first of 2 waveforms" in note
     with pytest.raises(InputError, match=r"mine.csv has a period of 0.8 s, but this model works"):
         read_waveform(table(time, time), "mine.csv", bound)
@@ -430,7 +430,7 @@ def test_uploads_are_drawn_or_rejected(bench, page, model, tmp_path):
     note = page.find_element("id", "uploaded")
     bad, good = tmp_path / "bad.csv", tmp_path / "good.csv"
     bad.write_bytes(b"time,flow\n0,1\n0.1,fast\n0.2,1\n")
-    good.write_bytes(table(TIME, 1.1 * waves()[1]))
+    good.write_bytes(table(TIME, 1.1 * waveforms()[1]))
     blockage = chosen(page, "blockage") / 100
     upload.send_keys(str(bad))
     bench.wait_for(

@@ -45,8 +45,14 @@ def test_convert(small_cases, tmp_path, run_pcnde):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--from", "csv", "--branch", "1"], "--branch goes with --from simvascular, not csv"),
-        (["--from", "hdf5", "--segments", "a"], "--segments goes with --from sv1d, not hdf5"),
+        (
+            ["--from", "csv", "--branch", "1"],
+            "--branch is an option of --from simvascular, not of csv",
+        ),
+        (
+            ["--from", "hdf5", "--segments", "a"],
+            "--segments is an option of --from sv1d, not of hdf5",
+        ),
         (["--from", "hdf5", "--names", "flow"], "--names must look like flow="),
         (["--from", "sv1d", "--units", "z="], "--units must look like flow="),
         (["--from", "openfoam"], "--from"),

@@ -13,7 +13,7 @@ from helpers import (
     MEMBRANE,
     ON,
     VESSELS,
-    waves,
+    waveforms,
 )
 
 from pcnde_bridge.data.grid import Grid
@@ -37,9 +37,9 @@ def both():
 @pytest.fixture(scope="module")
 def inflow():
     """One of them reverses."""
-    waves = INFLOW.copy()
-    waves[3] = 2.5 * (waves[3] - waves[3].mean()) + 0.5
-    return waves
+    waveforms = INFLOW.copy()
+    waveforms[3] = 2.5 * (waveforms[3] - waveforms[3].mean()) + 0.5
+    return waveforms
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,8 @@ def test_an_odd_number_of_time_points(both):
     time = 0.8 * np.arange(25) / 25
     grid = Grid(time, GRID.z, 0.8)
     found, expected = (
-        c.predict(CORRECTED, np.zeros(4), waves(time / 0.8), VESSELS, grid, CONFIG) for c in both
+        c.predict(CORRECTED, np.zeros(4), waveforms(time / 0.8), VESSELS, grid, CONFIG)
+        for c in both
     )
     for mine, theirs in zip(found, expected, strict=True):
         assert_same(mine, theirs)

@@ -28,7 +28,7 @@ from helpers import (
     Z,
     solve,
     vessel,
-    waves,
+    waveforms,
 )
 
 from pcnde_bridge._utils.jax_context import double_precision
@@ -181,7 +181,7 @@ def test_block_tridiagonal_systems_are_solved():
 
 # ---- losses ----------------------------------------------------------------
 
-FLOW = np.repeat(waves()[3][:, None], 41, axis=1)
+FLOW = np.repeat(waveforms()[3][:, None], 41, axis=1)
 JET = np.array([0.0, 0.0, 0.9, 0.12])
 
 
@@ -274,8 +274,8 @@ def test_two_stenoses_far_apart_take_twice_the_drop_of_one():
 @pytest.mark.parametrize("direction", [1, -1])
 def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
     share = np.sin(np.pi * Z / 8) ** 2
-    q, s_u = direction * waves()[3], vessel(1.3)
-    d = 0.1 * np.roll(waves()[2], 4)
+    q, s_u = direction * waveforms()[3], vessel(1.3)
+    d = 0.1 * np.roll(waveforms()[2], 4)
 
     @in_double
     def product(numbers, q, d, share, s_u, z):
@@ -330,7 +330,7 @@ def corrected():
 @pytest.mark.parametrize("n_times", [32, 33])
 def test_inlet_flow_and_outlet_law_are_met(outlet, n_times):
     # Whatever an inflow holds: the highest harmonic of 32 time points is Nyquist's.
-    inflow = waves(np.arange(n_times) / n_times)[WAVEFORM]
+    inflow = waveforms(np.arange(n_times) / n_times)[WAVEFORM]
     inflow += 0.05 * np.random.default_rng(7).normal(size=inflow.shape)
     grid = Grid(np.arange(n_times) / n_times, Z, 1.0)
     found = solve(CORRECTED.replace(outlet=outlet), inflow, grid=grid)
@@ -414,7 +414,7 @@ def test_straight_vessel_among_others_has_no_drop_but_friction_and_inertia():
 def test_same_waveform_on_other_time_points_gives_the_same_answer(corrected):
     count = 33  # odd: no harmonic at Nyquist's frequency
     time = np.arange(count) / count
-    found = solve(CORRECTED, waves(time)[WAVEFORM], grid=Grid(time, Z, 1.0))
+    found = solve(CORRECTED, waveforms(time)[WAVEFORM], grid=Grid(time, Z, 1.0))
     for mine, theirs in zip(found[:3], corrected[:3], strict=True):
         # Trigonometric interpolation, exact for the 15 harmonics that 32 time points resolve.
         spectrum = np.fft.rfft(mine, axis=1)[:, :16] / count

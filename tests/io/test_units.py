@@ -62,7 +62,7 @@ IN_CGS = {
     ("time", "s"): 1,
     ("time", "ms"): 0.001,
 }
-"""What one of each unit is in mL/s, cm², dyn/cm², cm or s."""
+"""Value of one of each unit in mL/s, cm², dyn/cm², cm or s."""
 
 
 def test_the_factor_of_every_unit_is_tested():

@@ -19,7 +19,7 @@ from helpers import (
     same_bits,
     same_numbers,
     vessel,
-    waves,
+    waveforms,
 )
 
 from pcnde_bridge import (
@@ -279,7 +279,7 @@ def test_shifted_points_give_the_same_answer(model, prediction):
 def test_finer_grids_give_the_same_result(model, prediction):
     time, z = np.arange(100) / 100, np.linspace(0, 4, 81)
     areas = np.array([vessel(2.0, blockage=b, z=z) for b in (0.45, 0.6)])
-    found = model.predict(waves(time)[:1], areas, z=z, samples=2)
+    found = model.predict(waveforms(time)[:1], areas, z=z, samples=2)
     assert found.samples["area"].shape == (2, 2, 100, 81)
     assert np.allclose(found.time, time, rtol=1e-14)
     # Time points 0, ¼, ½, ¾ and 41 points are on both grids.  The difference is that of elements
@@ -439,7 +439,7 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     assert pooled == pytest.approx(dict(model.evaluate(cases).iloc[-1]), rel=1e-12)
     time, result = np.arange(33) / 33, tmp_path / "result.csv"
     for name, axis, at, rows in (
-        ("inflow", "time", time, waves(time)[[0, 3]]),
+        ("inflow", "time", time, waveforms(time)[[0, 3]]),
         ("area", "z", Z, AREA[[0, 7]]),
     ):
         table = pd.DataFrame({axis: at, "a": rows[0], "b": rows[1]})
@@ -449,7 +449,7 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
         *("--out", result, "--samples", 8),
     )
     assert code == 0
-    expected = model.predict(waves(time)[[0, 3]], AREA[[0, 7]], samples=8)
+    expected = model.predict(waveforms(time)[[0, 3]], AREA[[0, 7]], samples=8)
     found = read_frame(result)
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
     deviation = expected.standard_deviation()["pressure"].ravel()

@@ -127,7 +127,7 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
     assert np.allclose(some[2:], np.array([2.0, 1.0, 0.5]) / (3.5 / 3))
     assert some[0] == some[1] == some[2]
     assert np.array_equal(amplitude_weight(np.ones((3, 8)), np.arange(3), power), np.ones(3))
-    # No power is too large, whatever waves are left out, and nothing is dropped for steady cases.
+    # Weights are finite for any left-out waveforms, and steady cases have weights, too.
     assert np.allclose(amplitude_weight(inflow, everything, 1e6), [2.5, 2.5, 0, 0, 0])
     assert np.isfinite(amplitude_weight(inflow, np.array([3, 4]), 1e6)).all()
     steady = 1 + np.array([1e-6, 1e-6, 1e-6, 1.0, 2.0])[:, None] * wave

@@ -213,7 +213,7 @@ def test_a_run_tries_its_starts_and_counts_them(small_cases, toy_engine):
 @pytest.mark.julia
 def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
     julia = julia_or_skip()
-    # Far enough that the two minimisers' ways no longer matter.
+    # Enough iterations for both minimizers to reach the same minimum.
     config = LITTLE.replace(full_batch={"pressure_iterations": 60})
     whole = train(small_cases, julia, config)
     theirs = train(small_cases, engine, config)
@@ -238,7 +238,7 @@ def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_
 
 @pytest.mark.data
 def test_the_published_cases(published_cases):
-    """The whole preset on the paper's split, seed 0; what is tested has room for other seeds."""
+    """The whole preset on the paper's split with seed 0; the bounds allow other seeds."""
     split = published_cases.split("paper")
     model = PCNDE.fit(split.train, "fast", engine="jax", seed=0, progress=False)
     trained = pooled_errors(model.predict(split.train).variables(), split.train)

@@ -8,7 +8,7 @@ from helpers import (
     AREA,
     INFLOW,
     Z,
-    waves,
+    waveforms,
 )
 
 from pcnde_bridge.uncertainty.novelty import Novelty
@@ -18,10 +18,10 @@ def test_score_does_not_depend_on_the_grid():
     novelty = Novelty.fit(INFLOW, AREA, Z)
     time = np.arange(100) / 100
     fine = np.linspace(0, 4, 401)
-    wave = 1.4 * waves(time)[[1, 3]]
+    wave = 1.4 * waveforms(time)[[1, 3]]
     area = np.array([np.interp(fine, Z, s) for s in AREA[[0, 15]]])
     of_inflow, of_area = novelty.score(wave, area, fine + 5)
-    expected, _ = novelty.score(1.4 * waves()[[1, 3]], AREA[[0, 15]], Z)
+    expected, _ = novelty.score(1.4 * waveforms()[[1, 3]], AREA[[0, 15]], Z)
     assert of_inflow == pytest.approx(expected, rel=1e-9)
     # Profiles are interpolated linearly in the radius, here in the area.
     assert of_area.max() == pytest.approx(1.0, abs=0.02)

@@ -293,6 +293,6 @@ end
 
 unsettled(case, passes) = SolveError(
     "Flow, area and pressure of case $(case - 1) do not settle in $passes coupling passes. " *
-    "Check the units of inflow and area (mL/s, cm²); a stronger waveform or a longer vessel needs " *
-    "more passes (correction.passes).",
+    "Check the units of inflow and area (mL/s, cm²); a stronger waveform or a longer " *
+    "vessel needs more passes (correction.passes).",
 )
