@@ -17,6 +17,9 @@ _UNIFORM = 1e-4  # of a time step, as in Cases
 _SAME = 1e-6  # of a period, or of an axis's length
 _SAME_LENGTH = 1e-3  # of a vessel's length, for lengths that differ by rounding
 _CLOSED = 0.05  # of a variable's range: largest difference between cycles
+_NEAR = 0.25  # of a time step: saves of two cycles that are nearer than this are one
+_FEWEST = 4  # time points of a cycle
+_OVERSHOOT = 0.05  # of a variable's range, beyond the values that are resampled
 _JUMP = 3.0  # times the largest step of a waveform: a larger step is a gap
 
 
@@ -51,9 +54,15 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     if span + float(steps.max()) < cycle - tolerance:
         raise InputError(f"it covers {span:g} s, less than the period of {cycle:g} s.")
     taken = np.flatnonzero(time > time[-1] - cycle + tolerance)
-    before = taken[0] - 1
-    compared = before >= 0 and abs(time[-1] - cycle - time[before]) <= tolerance
-    if compared and not _alike(vessel, before, -1, _CLOSED):
+    # Of two saves at almost the same phase, the later one is used.
+    if time[taken[0]] - (time[-1] - cycle) < _NEAR * float(np.median(steps)):
+        taken = taken[1:]
+    if taken.size < _FEWEST:
+        raise InputError(
+            f"a cycle of {cycle:g} s has {taken.size} time points only, and needs at least "
+            f"{_FEWEST}: save more often, or correct the period."
+        )
+    if not _repeats(vessel, cycle):
         raise InputError(
             f"it is not periodic: one period of {cycle:g} s before its end it differs from the end "
             f"by more than {_CLOSED:.0%} of its range. Correct the period, or simulate more cycles."
@@ -84,6 +93,26 @@ def _whole_recording(vessel: VesselResults) -> VesselResults:
             f"{inflow[0]:.4g} mL/s, a gap in its waveform. Pass the period (--period)."
         )
     return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
+
+
+def _repeats(vessel: VesselResults, cycle: float) -> bool:
+    """Compare the last cycle with the one before, as far as it was recorded.
+
+    The earlier cycle is interpolated to the times one period before those of the last one.
+    """
+    from scipy.interpolate import CubicSpline
+
+    time = vessel.time
+    step = float(np.diff(time).min())
+    later = time[time > time[-1] - cycle + 1e-3 * step]
+    later = later[later - cycle >= time[0] - _NEAR * step]
+    if later.size == 0:
+        return True
+    for values in vessel.variables().values():
+        earlier = CubicSpline(time, values)(later - cycle)
+        if np.abs(earlier - values[-later.size :]).max() > _CLOSED * np.ptp(values):
+            return False
+    return True
 
 
 def _alike(vessel: VesselResults, one: int, other: int, tolerance: float) -> bool:
@@ -133,6 +162,7 @@ def _periodic(time: Array, values: Array, period: float, count: int) -> Array:
     from scipy.interpolate import CubicSpline
     from scipy.signal import resample
 
+    low, high = values.min(axis=0), values.max(axis=0)
     if not _uniform(time, period):
         closed = np.concatenate([values, values[:1]])
         spline = CubicSpline(np.append(time, time[0] + period), closed, bc_type="periodic")
@@ -140,6 +170,14 @@ def _periodic(time: Array, values: Array, period: float, count: int) -> Array:
         fine = min(max(count, math.ceil(period / shortest)), 10_000)
         values = spline(time[0] + period / fine * np.arange(fine))
     resampled: Array = resample(values, count, axis=0)
+    size = float(np.max(high - low))
+    beyond = max(float(np.max(resampled - high)), float(np.max(low - resampled)))
+    if beyond > _OVERSHOOT * size:
+        raise InputError(
+            f"resampling to {count} time points overshoots the values by "
+            f"{beyond / size:.0%} of their range: the cycle is not smooth. Ask for about as many "
+            "time points as were saved, or save more often."
+        )
     return resampled
 
 

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pcnde_bridge.data.plausibility import (
@@ -74,6 +74,7 @@ def stated_in(message):
     return dict(part.split("=") for part in found[1].split(","))
 
 
+@settings(max_examples=10 * settings().max_examples)
 @given(fields=arteries, units=mixes, whole=st.booleans())
 def test_every_mix_of_units_is_refused_or_right(fields, units, whole):
     """Following the advice leads to the vessel itself, or to another refusal."""

@@ -41,6 +41,41 @@ def test_what_is_not_periodic_is_refused(vessel):
         to_cases([vessel], period=2.0)
 
 
+def test_periodicity_where_saves_do_not_fall_on_the_period(vessel):
+    """A period of 60/70 s saved every 8.571 ms, and every 10 ms."""
+    period, step = 60 / 70, 0.008571
+
+    def recorded(step, count, growth=0.0):
+        long = at_times(vessel, step * np.arange(count) / period)
+        time = step * np.arange(count)
+        return replaced(long, time=time, pressure=long.pressure * (1 + growth * time[:, None]))
+
+    for growth in (0.08, -0.08):
+        for every in (step, 0.01):
+            with pytest.raises(InputError, match="is not periodic"):
+                to_cases([recorded(every, 300, growth)], period=period, time_points=100)
+    for every, count in ((step, 300), (step, 101), (0.01, 300)):
+        found = to_cases([recorded(every, count)], period=period, time_points=100)
+        expected = at_times(vessel, found.time / period)
+        np.testing.assert_allclose(found.pressure[0], expected.pressure, rtol=2e-3)
+
+
+def test_too_few_time_points_after_cutting(vessel):
+    coarse = at_times(vessel, np.arange(12) / 3)
+    with pytest.raises(InputError, match=r"a cycle of 1 s has 3 time points only"):
+        to_cases([coarse], period=1.0)
+
+
+def test_resampling_never_overshoots_unnoticed(vessel):
+    square = np.where(np.arange(40) < 15, 1.3, 0.7)[:, None]
+    step = at_times(vessel, np.arange(40) / 40)
+    fields = {"flow": square * np.ones(21), "pressure": 1e5 * square * np.ones(21)}
+    step = replaced(step, **fields)
+    assert to_cases([step]).n_times == 40
+    with pytest.raises(InputError, match=r"resampling to 100 time points overshoots .* by \d+%"):
+        to_cases([step], time_points=100)
+
+
 def test_time_is_resampled_on_request_only(vessel):
     for n in (11, 20, 32):
         found = to_cases([vessel], time_points=n)
