@@ -10,7 +10,7 @@ import typer
 
 from pcnde_bridge._version import __version__
 from pcnde_bridge.cli.console import say
-from pcnde_bridge.cli.options import check_outputs, option
+from pcnde_bridge.cli.options import UnitsOption, check_outputs, name_pairs, option, units_of
 from pcnde_bridge.errors import InputError, PCNDEError
 
 FileFormat = Literal["simvascular", "sv1d", "csv", "hdf5"]
@@ -50,9 +50,7 @@ def convert(
     time_step: Annotated[
         float | None, option("Time step of the 3D simulation, s (simvascular).")
     ] = None,
-    units: Annotated[
-        str | None, option("cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm.")
-    ] = None,
+    units: UnitsOption = None,
     flip: Annotated[
         Literal["flow", "z"] | None,
         option("Reverse the sign of the flow, or the direction of the vessel."),
@@ -79,7 +77,7 @@ def convert(
         "simvascular": {"time_step": time_step, "branch": branch, "rigid": rigid or None},
         "sv1d": {"segments": None if segments is None else segments.split(",")},
         "csv": {},
-        "hdf5": {"names": _pairs(names, "--names")},
+        "hdf5": {"names": name_pairs(names, "--names")},
     }
     for name, values in of_format.items():
         given = [option for option, value in values.items() if value is not None]
@@ -90,7 +88,7 @@ def convert(
         files,
         **{name: value for name, value in of_format[source].items() if value is not None},
         period=period,
-        units=_pairs(units, "--units") if units and "=" in units else units,
+        units=units_of(units),
         flip=flip,
         time_points=time_points,
         points=points,
@@ -124,16 +122,6 @@ def doctor() -> None:
             say(f"  → {finding.advice}")
     if not any(finding.good for finding in findings if finding.is_engine):
         raise PCNDEError("No engine is usable: nothing can be computed on this machine.")
-
-
-def _pairs(text: str | None, option: str) -> dict[str, str] | None:
-    """Parse name=value,name=value."""
-    if text is None:
-        return None
-    parts = [part.partition("=") for part in text.split(",")]
-    if not all(name and value for name, _, value in parts):
-        raise InputError(f"{option} must look like flow=…,pressure=…, got {text!r}.")
-    return {name: value for name, _, value in parts}
 
 
 def _check_data_set(path: Path, inputs: Sequence[Path] = ()) -> None:

@@ -45,6 +45,10 @@ SeedOption = Annotated[
     int, option("Random seed for the initial weights and the batch order.", min=0)
 ]
 EngineOption = Annotated[EngineName, option("Compute engine.")]
+UnitsOption = Annotated[
+    str | None,
+    option("cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm."),
+]
 WorkersOption = Annotated[int, option("Number of parallel processes.", min=1)]
 JsonOption = Annotated[Path | None, option("Also write the results to this JSON file.", "--json")]
 
@@ -80,3 +84,18 @@ def check_outputs(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = (
         if path.is_dir() or not path.parent.is_dir():
             raise FileError(f"Cannot write {path}: give a file in an existing folder.")
         check_writable(path, size)
+
+
+def name_pairs(text: str | None, option: str) -> dict[str, str] | None:
+    """Parse name=value,name=value."""
+    if text is None:
+        return None
+    parts = [part.partition("=") for part in text.split(",")]
+    if not all(name and value for name, _, value in parts):
+        raise InputError(f"{option} must look like flow=…,pressure=…, got {text!r}.")
+    return {name: value for name, _, value in parts}
+
+
+def units_of(text: str | None) -> str | dict[str, str] | None:
+    """Return the units of ``--units``: a system of units, or units by quantity."""
+    return name_pairs(text, "--units") if text and "=" in text else text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import pandas as pd
 import typer
@@ -13,7 +13,7 @@ from rich.table import Table
 
 from pcnde_bridge._utils.files import atomic_write, write_json
 from pcnde_bridge._utils.parallel import processes
-from pcnde_bridge._utils.validation import counted
+from pcnde_bridge._utils.validation import counted, positive
 from pcnde_bridge.cli.console import note, say, show, show_errors
 from pcnde_bridge.cli.options import (
     DataArgument,
@@ -21,10 +21,12 @@ from pcnde_bridge.cli.options import (
     JsonOption,
     ModelArgument,
     SplitOption,
+    UnitsOption,
     WorkersOption,
     check_outputs,
     option,
     split_of,
+    units_of,
 )
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.datasets import load_cases
@@ -98,6 +100,13 @@ def predict(
             min=0,
         ),
     ] = 0,
+    units: UnitsOption = None,
+    period: Annotated[
+        float | None, option("Cycle length, s; a time point at its end is left out.")
+    ] = None,
+    interpolate: Annotated[
+        bool, option("Interpolate unequal time steps, and to the model's grid.")
+    ] = False,
 ) -> None:
     """Predict flow, area and pressure of new cases.
 
@@ -112,22 +121,31 @@ def predict(
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine)
     check_target(out, fitted.has_pressure)
-    given = read_inputs(inflow, area, fitted.grid, any_grid=fitted.any_grid)
+    stated = units_of(units)
+    given = read_inputs(
+        inflow,
+        area,
+        fitted.grid,
+        any_grid=fitted.any_grid,
+        units=stated,
+        period=None if period is None else positive("--period", period, "s"),
+        interpolate=interpolate,
+    )
     q, s_u = given.inflow, given.area_undeformed
 
     def named(prediction: Prediction) -> Prediction:
         return replace(prediction, labels=given.name_labels(prediction.labels))
 
-    files, options = [out], dict[str, Any]()
+    files, options = [out], {"units": stated, **given.where}
     if suffix == ".csv":
         if isinstance(fitted, PCNDE):
-            batch, options = _IN_MEMORY // (1 + samples), {"samples": samples}
+            batch, options["samples"] = _IN_MEMORY // (1 + samples), samples
         else:  # the members are the samples
             batch = _IN_MEMORY // (1 + len(fitted.members))
-        batches = fitted.predict_batches(q, s_u, batch=max(1, batch), **given.where, **options)
+        batches = fitted.predict_batches(q, s_u, batch=max(1, batch), **options)
         count = save_csv(map(named, batches), out)
     else:
-        prediction = named(fitted.predict(q, s_u, **given.where))
+        prediction = named(fitted.predict(q, s_u, **options))
         files, count = prediction.save(out), len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"
     say(f"Saved {counted(count, 'case')} in {place}.")

@@ -2,55 +2,107 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.validation import listed
+from pcnde_bridge._utils.validation import check_increasing, listed
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.io.tables import line_of, numbers, read_frame
 
 _SAME = 1e-6  # of a step, a range or an axis
+_AXES = {"time": ("time", "t"), "z": ("z", "x", "s", "distance", "position", "path")}
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
-    """Return the axis in the first column, and the columns of the cases."""
-    frame = read_frame(path)
-    if frame.shape[1] < 2 or frame.columns[0] != axis:
+    """Return the axis in the first column, and the columns of the cases.
+
+    Columns are separated by commas, by semicolons (with decimal commas or points) or by tabs.
+    Files without names of columns have two columns of numbers, as the waveforms of openBF
+    (``.dat``) and SimVascular (``.flow``), where flow into the vessel is negative.
+    """
+    first = _first_line(Path(path))
+    words = re.split(r"[\s,;]+", first.strip())
+    options: dict[str, Any] = {}
+    if all(map(_NUMBER.fullmatch, words)) and len(words) == 2:
+        separator = next((mark for mark in ",;" if mark in first), r"\s+")
+        options = {"header": None, "names": [axis, Path(path).stem], "sep": separator}
+        options["comment"] = "#"
+    elif ";" in first and "," not in first:
+        options = {"sep": ";", "decimal": ","}
+    elif "\t" in first and "," not in first:
+        options = {"sep": "\t"}
+    frame = read_frame(path, **options)
+    name, _, unit = str(frame.columns[0]).strip(" )]").replace("[", "(").partition("(")
+    if frame.shape[1] < 2 or name.strip().lower() not in _AXES[axis]:
         raise InputError(
             f"{path} must have the columns {axis}, then one for each case; it has "
             f"{list(frame.columns)}."
         )
+    if unit and unit.strip() != SYSTEMS["cgs"][axis]:
+        raise InputError(
+            f"{path} gives {axis} in {unit}: name the column {axis!r} alone, and state the unit, "
+            f"--units {axis}={unit}."
+        )
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
-    return found[axis].to_numpy(), found.iloc[:, 1:]
+    cases = found.iloc[:, 1:]
+    if "header" in options and Path(path).suffix.lower() == ".flow":
+        cases = -cases
+    return found.iloc[:, 0].to_numpy(), cases
+
+
+def _first_line(path: Path) -> str:
+    """Return the first line that is neither blank nor a comment; empty for no plain text."""
+    if path.is_file():
+        with contextlib.suppress(OSError, ValueError), path.open(encoding="utf-8-sig") as text:
+            return next((row for row in text if row.strip() and not row.startswith("#")), "")
+    return ""
 
 
 def _rows(columns: pd.DataFrame) -> Array:
     return np.ascontiguousarray(columns.to_numpy(dtype=np.float64).T)
 
 
-def read_cycle(path: StrPath, start: float, usual_period: float) -> tuple[float, pd.DataFrame]:
-    """Read waveforms of one cycle at equally spaced time points, without its end point.
+def read_cycle(
+    path: StrPath,
+    start: float,
+    usual_period: float,
+    *,
+    period: float | None = None,
+    time_points: int | None = None,
+) -> tuple[float, pd.DataFrame]:
+    """Read waveforms of one cycle, without its end point.
 
     Parameters
     ----------
     path : path-like
-        CSV file whose first column is named ``time``.
+        Table whose first column is named ``time``, or two columns without names.
     start : float
         First time point of the model's cycle, s.
     usual_period : float
-        Period of the model's training data, s.  Time points that span it and end as they
-        begin include the end point of the cycle.
+        Period of the model's training data, s.
+    period : float, optional
+        Length of the cycle, s; a time point at its end, which repeats the first, is left
+        out.  By default the number of time points times their distance.
+    time_points : int, optional
+        Interpolate to this number of equal steps, by :meth:`Waveform.from_samples`.
 
     Returns
     -------
     period : float
-        Number of time points times their distance, s.
+        Length of the cycle, s.
     columns : DataFrame
         One column for each case, one row for each time point.
 
@@ -59,36 +111,74 @@ def read_cycle(path: StrPath, start: float, usual_period: float) -> tuple[float,
     FileError
         If the file cannot be read as a table.
     InputError
-        If a column is missing or not numeric, or the time points are not equally spaced,
-        begin at another time or include the end point.
+        If a column is missing or not numeric; or if the time points begin at another time,
+        include the end point while no period is given, do not cover the period, or are not
+        equally spaced while they are not to be interpolated.
     """
     time, columns = _read(path, "time")
     if time.size < 2:
         raise InputError(f"{path} has {time.size} time points; a cycle needs more.")
-    step = (time[-1] - time[0]) / (time.size - 1)
-    off = np.abs(np.diff(time) - step)
-    if step <= 0 or off.max() > _SAME * abs(step) * time.size:
-        raise InputError(
-            f"{path}, line {line_of(path, int(off.argmax()) + 1)}: the time points are not equally "
-            "spaced. Interpolate the cycle to equal steps, without its end point."
-        )
-    if abs(time[0] - start) > _SAME * step * time.size:
+    span, steps = float(time[-1] - time[0]), np.diff(time)
+    if not (steps > 0).all():
+        line = line_of(path, int((steps <= 0).argmax()) + 1)
+        raise InputError(f"{path}, line {line}: time must increase, in equally spaced time points.")
+    if abs(time[0] - start) > _SAME * max(span, abs(start)) and time_points is None:
         raise InputError(
             f"{path}, line {line_of(path, 0)}: time starts at {time[0]:g} s, but it must start at "
-            f"{start:g} s, as the model's cycle does; shift the cycle."
+            f"{start:g} s, as the model's cycle does; shift the cycle, or pass --interpolate."
         )
-    waveforms = _rows(columns)
-    gap = np.abs(waveforms[:, -1] - waveforms[:, 0])
-    closed = (gap <= _SAME * np.ptp(waveforms, axis=1)).all()  # up to round-off
-    if closed and math.isclose(step * (time.size - 1), usual_period, rel_tol=1e-6):
+    closed = _ends_as_it_begins(_rows(columns), span, usual_period)
+    if period is None:
+        if closed and Path(path).suffix.lower() not in (".flow", ".dat"):
+            raise InputError(
+                f"{path}, line {line_of(path, time.size - 1)}: the cycle's end repeats its start. "
+                f"Leave the last line out, or pass the period (--period {span:g})."
+            )
+        period = span if closed else span * time.size / (time.size - 1)
+    elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
-            f"{path}, line {line_of(path, time.size - 1)}: the cycle's end repeats its start. "
-            "Leave the last line out."
+            f"{path} covers {span:g} s, which is not one cycle of {period:g} s: give one cycle, or "
+            "another period (--period)."
         )
-    return step * time.size, columns
+    if abs(span - period) <= 1e-3 * steps.min():
+        time, columns = time[:-1], columns.iloc[:-1]
+        steps = steps[:-1]
+    if time_points is not None:
+        return period, _interpolated(time, columns, period, start, time_points)
+    step = period / time.size
+    off = np.abs(steps - step)
+    if off.max() > _SAME * step * time.size:
+        raise InputError(
+            f"{path}, line {line_of(path, int(off.argmax()) + 1)}: the time points are not equally "
+            f"spaced over the period of {period:g} s. Pass --interpolate, or interpolate the cycle "
+            "to equal steps, without its end point."
+        )
+    return period, columns
 
 
-def read_columns(path: StrPath, axis: str, expected: Array, unit: str) -> pd.DataFrame:
+def _ends_as_it_begins(waveforms: Array, span: float, usual_period: float) -> bool:
+    """Return whether the last time point repeats the first, up to round-off."""
+    size = np.ptp(waveforms, axis=1)
+    closed = bool((np.abs(waveforms[:, -1] - waveforms[:, 0]) <= _SAME * size).all())
+    return closed and (bool(size.any()) or math.isclose(span, usual_period, rel_tol=1e-6))
+
+
+def _interpolated(
+    time: Array, columns: pd.DataFrame, period: float, start: float, count: int
+) -> pd.DataFrame:
+    """Return waveforms at equal steps of the cycle, without harmonics that these cannot hold."""
+    at = start + np.arange(count) * (period / count)
+    terms = min(60, (count - 1) // 2)
+    series = {
+        name: Waveform.from_samples(flow, time, period, terms).flow(at)
+        for name, flow in columns.items()
+    }
+    return pd.DataFrame(series)
+
+
+def read_columns(
+    path: StrPath, axis: str, expected: Array, unit: str, *, factor: float = 1.0
+) -> pd.DataFrame:
     """Read one column for each case on the grid of a model.
 
     Parameters
@@ -101,6 +191,8 @@ def read_columns(path: StrPath, axis: str, expected: Array, unit: str) -> pd.Dat
         Values that the axis must have.
     unit : str
         Unit of the axis, for messages.
+    factor : float
+        Unit of the file's axis, in that unit.
 
     Returns
     -------
@@ -115,6 +207,7 @@ def read_columns(path: StrPath, axis: str, expected: Array, unit: str) -> pd.Dat
         If a column is missing or not numeric, or the axis has other values.
     """
     found, columns = _read(path, axis)
+    found = factor * found
     if len(found) != len(expected):
         raise InputError(
             f"{path} has {len(found)} rows, but the model works on {len(expected)} values of "
@@ -156,7 +249,16 @@ class CaseInputs:
         return labels.assign(name=[self.names[case] for case in labels["case"]])
 
 
-def read_inputs(inflow: StrPath, area: StrPath, grid: Grid, *, any_grid: bool) -> CaseInputs:
+def read_inputs(
+    inflow: StrPath,
+    area: StrPath,
+    grid: Grid,
+    *,
+    any_grid: bool,
+    units: str | Mapping[str, str] | None = None,
+    period: float | None = None,
+    interpolate: bool = False,
+) -> CaseInputs:
     """Read inflows and undeformed areas, and pair their columns.
 
     Columns are paired by name if both tables have the same names, and by position if no
@@ -172,6 +274,13 @@ def read_inputs(inflow: StrPath, area: StrPath, grid: Grid, *, any_grid: bool) -
         Grid of the model.
     any_grid : bool
         Whether the model accepts other time points and points.
+    units : str or mapping, optional
+        Units of the tables as for :meth:`pcnde_bridge.PCNDE.predict`, which converts all
+        results of this function.
+    period : float, optional
+        Length of the cycle, s.
+    interpolate : bool
+        Bring waveforms, and areas where the model needs it, to the model's grid.
 
     Returns
     -------
@@ -187,12 +296,27 @@ def read_inputs(inflow: StrPath, area: StrPath, grid: Grid, *, any_grid: bool) -
         columns have the same name in both files.
     """
     where: dict[str, Any] = {}
-    if any_grid:
-        where["period"], q = read_cycle(inflow, float(grid.time[0]), grid.period)
-        where["z"], s_u = _read(area, "z")
+    factor = factors_to_cgs(stated_units(units))
+    cycle = grid.time[0] / factor["time"], grid.period / factor["time"]
+    if any_grid or interpolate or period is not None:
+        count = grid.time.size if interpolate else None
+        given = None if period is None else period / factor["time"]
+        found, q = read_cycle(inflow, *cycle, period=given, time_points=count)
+        if any_grid:
+            where["period"] = found
+        elif not math.isclose(found, cycle[1], rel_tol=1e-6) or len(q) != grid.time.size:
+            raise InputError(
+                f"{inflow} has {len(q)} time points over {found * factor['time']:g} s, but the "
+                f"model works at {grid.time.size} over {grid.period:g} s."
+            )
     else:
-        q = read_columns(inflow, "time", grid.time, "s")
-        s_u = read_columns(area, "z", grid.z, "cm")
+        q = read_columns(inflow, "time", grid.time, "s", factor=factor["time"])
+    if any_grid:
+        where["z"], s_u = _read(area, "z")
+    elif interpolate:
+        s_u = _on_points(area, grid.z, factor["z"])
+    else:
+        s_u = read_columns(area, "z", grid.z, "cm", factor=factor["z"])
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
         alone = sorted(set(by_inflow) ^ set(by_area))
@@ -206,3 +330,19 @@ def read_inputs(inflow: StrPath, area: StrPath, grid: Grid, *, any_grid: bool) -
             )
     names = by_inflow if len(by_inflow) >= len(by_area) else by_area
     return CaseInputs(_rows(q), _rows(s_u), names, where)
+
+
+def _on_points(path: StrPath, points: Array, factor: float) -> pd.DataFrame:
+    """Return areas at the points of a model, by monotone cubic interpolation."""
+    from scipy.interpolate import PchipInterpolator
+
+    z, columns = _read(path, "z")
+    z = factor * z
+    check_increasing("z", z, "cm")
+    if abs(z[[0, -1]] - points[[0, -1]]).max() > 1e-3 * np.ptp(points):
+        raise InputError(
+            f"{path} covers z from {z[0]:g} to {z[-1]:g} cm, but the model works from "
+            f"{points[0]:g} to {points[-1]:g} cm."
+        )
+    at = np.clip(points, z[0], z[-1])
+    return pd.DataFrame({name: PchipInterpolator(z, s_u)(at) for name, s_u in columns.items()})

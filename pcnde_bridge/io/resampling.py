@@ -172,11 +172,11 @@ def _periodic(time: Array, values: Array, period: float, count: int) -> Array:
     resampled: Array = resample(values, count, axis=0)
     size = float(np.max(high - low))
     beyond = max(float(np.max(resampled - high)), float(np.max(low - resampled)))
-    if beyond > _OVERSHOOT * size:
+    if beyond > _OVERSHOOT * size + 1e-9 * float(np.abs(values).max()):
         raise InputError(
             f"resampling to {count} time points overshoots the values by "
-            f"{beyond / size:.0%} of their range: the cycle is not smooth. Ask for about as many "
-            "time points as were saved, or save more often."
+            f"{beyond:.3g}, and their range is {size:.3g}: the cycle is not smooth. Ask for about "
+            "as many time points as were saved, or save more often."
         )
     return resampled
 

@@ -28,7 +28,9 @@ from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER
 from pcnde_bridge.io.vessel_results import VesselResults
 from pcnde_bridge.io.vtp import Lines, read_lines
 
-_STEP = re.compile(r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)")
+_STEP = re.compile(
+    r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)", re.IGNORECASE
+)
 _UNDEFORMED = ("area_undeformed", "CenterlineSectionArea", "area")
 
 _Positions = npt.NDArray[np.intp]
@@ -168,7 +170,7 @@ class _Centerline:
         found: dict[str, dict[str, str]] = {}
         for name in self._arrays:
             if match := _STEP.fullmatch(name):
-                found.setdefault(match[1], {})[match[2]] = name
+                found.setdefault(match[1].lower(), {})[match[2]] = name
         velocity = found.pop("velocity", {})
         found.setdefault("flow", velocity)
         for name in ("pressure", "flow"):

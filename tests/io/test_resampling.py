@@ -72,7 +72,7 @@ def test_resampling_never_overshoots_unnoticed(vessel):
     fields = {"flow": square * np.ones(21), "pressure": 1e5 * square * np.ones(21)}
     step = replaced(step, **fields)
     assert to_cases([step]).n_times == 40
-    with pytest.raises(InputError, match=r"resampling to 100 time points overshoots .* by \d+%"):
+    with pytest.raises(InputError, match=r"resampling to 100 time points overshoots .*range"):
         to_cases([step], time_points=100)
 
 

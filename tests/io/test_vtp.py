@@ -8,7 +8,7 @@ from io_helpers import centerline, edited
 from vtkmodules.vtkCommonCore import vtkBitArray, vtkStringArray
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLPolyDataWriter
 
-from pcnde_bridge import FileError
+from pcnde_bridge import FileError, InputError
 from pcnde_bridge.io import read_simvascular, to_cases, write_vtp
 
 WAYS = {
@@ -75,3 +75,46 @@ def test_a_compressor_that_is_not_used_does_not_matter(vessel, tmp_path):
     np.testing.assert_allclose(read_simvascular(path).flow[0], vessel.flow)
     with pytest.raises(FileError, match="vtkLZ4DataCompressor is unknown"):
         read_simvascular(edited(path, lambda data: None, "LZ4"))
+
+
+def test_every_changed_letter_of_a_compressed_block_is_noticed(vessel, tmp_path):
+    path = centerline(tmp_path / "v.vtp", vessel)
+    content = path.read_bytes()
+    whole = read_simvascular(path)
+    start = content.index(b"<AppendedData") + 400
+    changed = 0
+    for place in range(start, len(content) - 60, 97):
+        letter = b"A" if content[place : place + 1] != b"A" else b"B"
+        path.write_bytes(content[:place] + letter + content[place + 1 :])
+        try:
+            changed += read_simvascular(path) != whole
+        except (FileError, InputError):
+            continue
+    assert changed == 0
+
+
+def test_capital_letters_in_names(vessel, tmp_path):
+    path = centerline(tmp_path / "v.vtp", vessel)
+    expected = read_simvascular(path)
+
+    def capital(data):
+        points = data.GetPointData()
+        for i in range(points.GetNumberOfArrays()):
+            name = points.GetArrayName(i)
+            if name.startswith(("pressure_", "velocity_", "area_")):
+                points.GetArray(i).SetName(name.capitalize())
+
+    edited(path, capital)
+    assert read_simvascular(path) == expected
+
+
+def test_encodings_that_hide_entities_are_refused(vessel, tmp_path):
+    path = edited(centerline(tmp_path / "v.vtp", vessel), lambda data: None, ascii_=True)
+    text = path.read_text()
+    hidden = '<!DOCTYPE VTKFile [<!ENTITY x "5">]>' + text.partition("?>")[2]
+    mark = b'<!--<VTKFile type="PolyData"-->'.decode("utf-16-le", "replace")
+    for encoding in ("utf-8", "utf-16"):
+        head = f'<?xml version="1.0" encoding="{encoding}"?>'
+        path.write_bytes((head + (mark if encoding == "utf-16" else "") + hidden).encode(encoding))
+        with pytest.raises(FileError):
+            read_simvascular(path)
