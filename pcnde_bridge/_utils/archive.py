@@ -181,3 +181,8 @@ def sha256_arrays(arrays: Mapping[str, AnyArray]) -> str:
         digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
         digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
     return digest.hexdigest()
+
+
+def with_prefix(prefix: str, arrays: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    """Return the arrays whose names have a prefix, by their names without it."""
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}

@@ -7,18 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive
+from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, with_prefix
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.config import PRESETS, Config, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, PCNDEError
-from pcnde_bridge.model.serialization import (
-    ENSEMBLE_FORMAT,
-    ENSEMBLE_VERSION,
-    MODEL_FORMAT,
-    MODEL_VERSION,
-    with_prefix,
-)
+from pcnde_bridge.model.ensemble import ENSEMBLE_FORMAT, ENSEMBLE_VERSION
+from pcnde_bridge.model.pcnde import MODEL_FORMAT, MODEL_VERSION
 from pcnde_bridge.training import closure_training, staged_training
 
 _FORMATS = {

@@ -20,7 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, write_archive
+from pcnde_bridge._utils.archive import (
+    archive_kind,
+    interpreting,
+    read_archive,
+    with_prefix,
+    write_archive,
+)
 from pcnde_bridge._utils.parallel import Outcome, Workers, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config, resolve_config
@@ -34,9 +40,10 @@ from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Predictor, in_batches, predict, prepare
-from pcnde_bridge.model.serialization import ENSEMBLE_FORMAT, ENSEMBLE_VERSION, with_prefix
 from pcnde_bridge.training.provenance import provenance as current_provenance
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
+
+ENSEMBLE_FORMAT, ENSEMBLE_VERSION = "pcnde-ensemble", 1
 
 _FITS_PER_FOLD = 2  # the fewest that have a standard deviation
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_finite, check_increasing, check_shape, positive
 from pcnde_bridge.config import ClosureConfig, Config, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
@@ -23,9 +23,8 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
-from pcnde_bridge.training.history import OnIteration
 from pcnde_bridge.training.procedure import Procedure
-from pcnde_bridge.training.trainer import Trainer, staged_training
+from pcnde_bridge.training.trainer import staged_training
 from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
 
 AnyParameters = Parameters | ClosureParameters
@@ -43,21 +42,9 @@ class Kind(ABC):
     any_grid: ClassVar[bool]
     _parameters: ClassVar[type[AnyParameters]]
 
-    def train(
-        self,
-        cases: Cases,
-        config: Config,
-        engine: Engine,
-        seed: int,
-        checkpoint: StrPath | None,
-        progress: bool | OnIteration,
-    ) -> tuple[Config, Any]:
-        """Train, see :meth:`pcnde_bridge.PCNDE.fit`; return the final settings and state."""
-        procedure = self._procedure(cases, config, engine)
-        return procedure.config, Trainer(procedure, checkpoint).fit(seed, progress)
-
     @abstractmethod
-    def _procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]: ...
+    def procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]:
+        """Return the training procedure for cases and settings."""
 
     @abstractmethod
     def predict(
@@ -120,7 +107,7 @@ class _Staged(Kind):
     any_grid = False
     _parameters = Parameters
 
-    def _procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> Procedure[Any]:
+    def procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> Procedure[Any]:
         return staged_training(cases, config, engine)
 
     def predict(
@@ -140,7 +127,7 @@ class _Closures(Kind):
     any_grid = True
     _parameters = ClosureParameters
 
-    def _procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> Procedure[Any]:
+    def procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> Procedure[Any]:
         return ClosureTraining(cases, config, engine)
 
     def predict(

@@ -51,12 +51,11 @@ def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, flo
     cases : Cases
         Reference values.
     """
-    return {
-        variable: relative_error(
-            compared(variable, values), compared(variable, getattr(cases, variable))
-        )
-        for variable, values in predicted.items()
-    }
+    return {name: _error(name, values, getattr(cases, name)) for name, values in predicted.items()}
+
+
+def _error(variable: str, predicted: Array, reference: Array) -> float:
+    return relative_error(compared(variable, predicted), compared(variable, reference))
 
 
 def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
@@ -77,12 +76,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     """
     over_all = pooled_errors(predicted, cases)
     rows = [
-        {
-            variable: relative_error(
-                compared(variable, values[i]), compared(variable, getattr(cases, variable)[i])
-            )
-            for variable, values in predicted.items()
-        }
+        {name: _error(name, all_[i], getattr(cases, name)[i]) for name, all_ in predicted.items()}
         for i in range(len(cases))
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,31 +11,31 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.archive import interpreting, read_archive, with_prefix, write_archive
 from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import PUBLISHED_CODE, Config, PCNDEConfig, resolve_config
+from pcnde_bridge.config import PUBLISHED_CODE, Config, PCNDEConfig, config_from, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineChoice, select_engine
-from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.model import serialization
 from pcnde_bridge.model.inputs import Inputs
-from pcnde_bridge.model.kinds import kind_of
+from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Predictor, in_batches, prepare
 from pcnde_bridge.model.published_weights import read_published_weights
-from pcnde_bridge.model.serialization import MODEL_FORMAT, MODEL_VERSION, Content
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
 from pcnde_bridge.training.provenance import provenance as current_provenance
+from pcnde_bridge.training.trainer import Trainer
 from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import Uncertainty
 
+MODEL_FORMAT, MODEL_VERSION = "pcnde-model", 1
 
+
+@dataclass(eq=False, repr=False)
 class PCNDE(Predictor):
     """Physics-constrained coupled neural differential equations of one vessel type.
 
@@ -53,33 +54,25 @@ class PCNDE(Predictor):
     provenance : dict
         Facts needed to reproduce the fit: seed, batches, labels and fingerprint of the
         cases, engine, versions, command, time.
+    iterations : tuple of Iteration
+        Iterations of the fit, for :attr:`history`.
     uncertainty : Uncertainty or None
         Source of the samples of a prediction; only the preset ``physics`` has it.
     novelty : Novelty or None
         Measure of the distance from the training data.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        parameters: Parameters | ClosureParameters,
-        grid: Grid,
-        engine: Engine,
-        provenance: Mapping[str, Any] | None = None,
-        history: tuple[Iteration, ...] = (),
-        uncertainty: Uncertainty | None = None,
-        novelty: Novelty | None = None,
-    ) -> None:
-        self._kind = kind_of(config)
-        self._kind.check(config, parameters, grid, uncertainty)
-        self.config = config
-        self.parameters = parameters
-        self.grid = grid
-        self.engine = engine
-        self.provenance = dict(provenance or {})
-        self.uncertainty = uncertainty
-        self.novelty = novelty
-        self._history = history
+    config: Config
+    parameters: AnyParameters
+    grid: Grid
+    engine: Engine
+    provenance: dict[str, Any] = field(default_factory=dict)
+    iterations: tuple[Iteration, ...] = ()
+    uncertainty: Uncertainty | None = None
+    novelty: Novelty | None = None
+
+    def __post_init__(self) -> None:
+        kind_of(self.config).check(self.config, self.parameters, self.grid, self.uncertainty)
 
     @classmethod
     def fit(
@@ -147,10 +140,10 @@ class PCNDE(Predictor):
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        run = cases, settings, engine, seed, checkpoint, progress
-        settings, state = kind_of(settings).train(*run)
+        procedure = kind_of(settings).procedure(cases, settings, engine)
+        state = Trainer(procedure, checkpoint).fit(seed, progress)
         return cls(
-            settings,
+            procedure.config,
             state.parameters,
             cases.grid,
             engine,
@@ -194,7 +187,7 @@ class PCNDE(Predictor):
     @property
     def history(self) -> pd.DataFrame:
         """Iterations of the fit: stage, epoch, batch, iteration, loss, seconds, outcome."""
-        return histories.to_frame(self._history)
+        return histories.to_frame(self.iterations)
 
     @property
     def has_pressure(self) -> bool:
@@ -314,7 +307,7 @@ class PCNDE(Predictor):
 
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters
-        solution, samples = self._kind.predict(*model, inputs, self.uncertainty)
+        solution, samples = kind_of(self.config).predict(*model, inputs, self.uncertainty)
         grid = inputs.grid
         return Prediction(
             *solution,
@@ -358,17 +351,12 @@ class PCNDE(Predictor):
 
     def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
         """Return the content of the model's file: facts for JSON, and arrays."""
-        return serialization.to_archive(
-            Content(
-                self.config,
-                self.parameters,
-                self.grid,
-                self.provenance,
-                self._history,
-                self.uncertainty,
-                self.novelty,
-            )
-        )
+        facts = {"config": self.config.to_dict(), "provenance": dict(self.provenance)}
+        arrays = {"time": self.grid.time, "z": self.grid.z, "period": np.array(self.grid.period)}
+        arrays |= {**histories.to_arrays(self.iterations), **dict(self.parameters)}
+        for prefix, part in (("uncertainty_", self.uncertainty), ("novelty_", self.novelty)):
+            arrays |= {f"{prefix}{name}": array for name, array in part or ()}
+        return facts, arrays
 
     @classmethod
     def from_archive(
@@ -385,8 +373,19 @@ class PCNDE(Predictor):
         FileError
             If a part is missing or does not fit.
         """
-        content = serialization.from_archive(facts, arrays, where)
-        return cls(engine=select_engine(engine), **content._asdict())
+        with interpreting(where, "model"):
+            config = config_from(facts["config"])
+            kind, grid = kind_of(config), Grid(arrays["time"], arrays["z"], float(arrays["period"]))
+            parameters = kind.read_parameters(arrays)
+            provenance, iterations = dict(facts["provenance"]), histories.from_arrays(arrays)
+            spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
+            uncertainty = Uncertainty(**spread) if spread else None
+            kind.check(config, parameters, grid, uncertainty)
+            novelty = Novelty(**known) if known else None
+            if novelty is not None:
+                novelty.check()
+        engine, optional = select_engine(engine), (uncertainty, novelty)
+        return cls(config, parameters, grid, engine, provenance, iterations, *optional)
 
     def __repr__(self) -> str:
         """Return the variables, the size of the grid and the engine."""
