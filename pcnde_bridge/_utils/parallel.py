@@ -38,7 +38,7 @@ from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.progress import TaskProgress
@@ -50,6 +50,16 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 Workers = Executor | Callable[[], Executor]
 """An executor, or a function that creates one, such as :func:`processes`."""
+
+
+class RunOptions(TypedDict, total=False):
+    """Optional arguments of :func:`run` that functions with many fits pass on."""
+
+    executor: Workers | None
+    retries: int
+    folder: StrPath | None
+    progress: bool
+
 
 _NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # also usable as the name of a file
 _DIED = "its worker process died"

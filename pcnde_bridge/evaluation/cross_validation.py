@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.parallel import Workers
+from pcnde_bridge._utils.parallel import RunOptions
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
@@ -20,11 +21,7 @@ def cross_validate(
     config: Config | str = "paper",
     engine: EngineChoice = "auto",
     seed: int = 0,
-    *,
-    executor: Workers | None = None,
-    retries: int = 1,
-    folder: StrPath | None = None,
-    progress: bool = True,
+    **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Fit without each waveform and each geometry in turn, and evaluate on it.
 
@@ -34,8 +31,9 @@ def cross_validate(
         Training cases.  Settings chosen by these errors leave the test cases independent.
     config, engine, seed
         As in :meth:`pcnde_bridge.PCNDE.fit`.
-    executor, retries, folder, progress
-        As in :func:`pcnde_bridge._utils.parallel.run`.
+    **options
+        ``executor``, ``retries``, ``folder`` and ``progress``, as in
+        :func:`pcnde_bridge._utils.parallel.run`.
 
     Returns
     -------
@@ -68,7 +66,6 @@ def cross_validate(
         )
     index = pd.MultiIndex.from_tuples(folds, names=["label", "value"])
     facts = {**common_facts("cross-validation", cases, settings, engine), "seed": seed}
-    options = {"executor": executor, "retries": retries, "folder": folder, "progress": progress}
     table = score_fits(tasks, index, facts, **options)
     table.insert(0, "cases", [len(positions) for positions in folds.values()])
     return table

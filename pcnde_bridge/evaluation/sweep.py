@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Unpack
 
 import pandas as pd
 
-from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.parallel import Workers
+from pcnde_bridge._utils.parallel import RunOptions
 from pcnde_bridge._utils.validation import whole_seeds
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
@@ -23,11 +23,7 @@ def sweep(
     configs: Mapping[str, Config | str],
     seeds: Sequence[int] = (0,),
     engine: EngineChoice = "auto",
-    *,
-    executor: Workers | None = None,
-    retries: int = 1,
-    folder: StrPath | None = None,
-    progress: bool = True,
+    **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Fit every configuration with every seed, and return the errors.
 
@@ -43,8 +39,9 @@ def sweep(
         Random seeds of the fits.
     engine
         As in :meth:`pcnde_bridge.PCNDE.fit`.
-    executor, retries, folder, progress
-        As in :func:`pcnde_bridge._utils.parallel.run`.
+    **options
+        ``executor``, ``retries``, ``folder`` and ``progress``, as in
+        :func:`pcnde_bridge._utils.parallel.run`.
 
     Returns
     -------
@@ -87,5 +84,4 @@ def sweep(
         },
     }
     index = pd.MultiIndex.from_tuples(keys, names=["config", "seed"])
-    options = {"executor": executor, "retries": retries, "folder": folder, "progress": progress}
     return score_fits(tasks, index, facts, **options)

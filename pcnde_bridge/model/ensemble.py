@@ -14,7 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from pcnde_bridge._utils.archive import (
     with_prefix,
     write_archive,
 )
-from pcnde_bridge._utils.parallel import Outcome, Workers, run
+from pcnde_bridge._utils.parallel import Outcome, RunOptions, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
@@ -93,10 +93,7 @@ class Ensemble(Predictor):
         *,
         members: int = 5,
         folds: int = 3,
-        executor: Workers | None = None,
-        retries: int = 1,
-        folder: StrPath | None = None,
-        progress: bool = True,
+        **options: Unpack[RunOptions],
     ) -> Ensemble:
         """Fit the members, and calibrate their spread on training cases that are left out.
 
@@ -112,8 +109,9 @@ class Ensemble(Predictor):
             Number of members, at least 2.
         folds : int
             Number of folds of the geometries and of the waveforms; two fits omit each.
-        executor, retries, folder, progress
-            See :func:`pcnde_bridge._utils.parallel.run`.
+        **options
+            ``executor``, ``retries``, ``folder`` and ``progress``, see
+            :func:`pcnde_bridge._utils.parallel.run`.
 
         Returns
         -------
@@ -142,15 +140,8 @@ class Ensemble(Predictor):
         if not left_out:
             raise InputError(f"{len(cases)} cases are too few for {folds} folds: give fewer folds.")
         study = common_facts("ensemble", cases, settings, engine)
-        outcome = run(
-            fit_model,
-            _tasks(cases, left_out, settings, engine, seed, members),
-            executor=executor,
-            retries=retries,
-            folder=folder,
-            facts={**study, "seed": seed, "folds": folds},
-            progress=progress,
-        )
+        tasks = _tasks(FitTask(cases, settings, engine, seed), members, left_out)
+        outcome = run(fit_model, tasks, facts={**study, "seed": seed, "folds": folds}, **options)
         fitted, calibration, seconds = _results(outcome, cases, left_out, engine)
         if outcome.failures:
             message = f"{outcome.complaint()} The ensemble does not contain them."
@@ -321,20 +312,14 @@ def _fold_names(number: int) -> list[str]:
     return [f"without fold {number}, {k}" for k in range(_FITS_PER_FOLD)]
 
 
-def _tasks(
-    cases: Cases,
-    left_out: Sequence[Positions],
-    config: Config,
-    engine: EngineChoice,
-    seed: int,
-    members: int,
-) -> dict[str, FitTask]:
+def _tasks(first: FitTask, members: int, left_out: Sequence[Positions]) -> dict[str, FitTask]:
     """Return the fits of the members, then those that leave out a fold each."""
-    tasks = {f"member {k}": FitTask(cases, config, engine, seed + k) for k in range(members)}
+    cases, seed = first.train, first.seed
+    tasks = {f"member {k}": replace(first, seed=seed + k) for k in range(members)}
     for number, positions in enumerate(left_out):
         rest = cases.select(np.setdiff1d(np.arange(len(cases)), positions))
         for k, name in enumerate(_fold_names(number)):
-            tasks[name] = FitTask(rest, config, engine, seed + k)
+            tasks[name] = replace(first, train=rest, seed=seed + k)
     return tasks
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 import pandas as pd
 
-from pcnde_bridge._utils.parallel import run
+from pcnde_bridge._utils.parallel import RunOptions, run
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
@@ -59,7 +59,10 @@ def model_of(result: dict[str, Any], engine: EngineChoice) -> PCNDE:
 
 
 def score_fits(
-    tasks: Mapping[str, FitTask], index: pd.MultiIndex, facts: Mapping[str, Any], **options: Any
+    tasks: Mapping[str, FitTask],
+    index: pd.MultiIndex,
+    facts: Mapping[str, Any],
+    **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Run fits, and return their errors in columns that do not depend on failures.
 
