@@ -7,6 +7,7 @@ Mohan, Livescu and Arzani (2024).  Units are CGS: cm, s, mL/s, dyn/cm².
 from __future__ import annotations
 
 from importlib import import_module
+from pkgutil import iter_modules
 from types import ModuleType
 
 from pcnde_bridge._version import __version__
@@ -76,22 +77,7 @@ __all__ = [
     "sweep",
 ]
 
-_SUBPACKAGES = (
-    "app",
-    "cli",
-    "config",
-    "data",
-    "engines",
-    "errors",
-    "evaluation",
-    "hemodynamics",
-    "io",
-    "model",
-    "plots",
-    "studies",
-    "training",
-    "uncertainty",
-)
+_SUBPACKAGES = [m.name for m in iter_modules(__path__) if not m.name.startswith("_")]
 
 
 def __getattr__(name: str) -> ModuleType:

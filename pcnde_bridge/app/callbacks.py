@@ -23,7 +23,7 @@ from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_u
 from dash.exceptions import PreventUpdate
 
 from pcnde_bridge.app import page
-from pcnde_bridge.app.explorer import Explorer, Scores
+from pcnde_bridge.app.explorer import Explorer, ResultCache, Scores
 from pcnde_bridge.app.inputs import Inputs, read_waveform
 from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.hemodynamics.waveform import Waveform
@@ -36,10 +36,8 @@ _CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("wavefo
 
 def connect(app: Dash, explorer: Explorer) -> None:
     """Register the callbacks of a page with this explorer."""
-    _connect_drawing(app, explorer)
-    _connect_comparison(app, explorer)
-    _connect_upload(app, explorer)
-    _connect_download(app, explorer)
+    for part in (_connect_drawing, _connect_comparison, _connect_upload, _connect_download):
+        part(app, explorer)
 
 
 def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
@@ -132,18 +130,15 @@ def _describe_novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
 
 def _describe_progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]:
     """Report the state of the interval and the 1D solver."""
+    caches: dict[str, ResultCache[Any]]
+    caches = {"interval": explorer.interval, "solver": explorer.solution}
     lines = []
-    for name, text, cache in (
-        ("interval", "90 % interval", explorer.interval),
-        ("solver", "1D solver", explorer.solution),
-    ):
-        if name in shown:
-            result = cache.cached(inputs)
-            if result is None:
-                lines.append(html.Span(f"{text}: computing …", className="computing"))
-            else:
-                state = result if isinstance(result, PCNDEError) else "shown."
-                lines.append(html.Span(f"{text}: {state}"))
+    for name in (name for name in caches if name in shown):
+        result, css = caches[name].cached(inputs), ""
+        state = result if isinstance(result, PCNDEError) else "shown."
+        if result is None:
+            state, css = "computing …", "computing"
+        lines.append(html.Span(f"{page.COMPARISONS[name]}: {state}", className=css))
     return lines
 
 
@@ -214,12 +209,8 @@ def _connect_upload(app: Dash, explorer: Explorer) -> None:
             note = f"The file was rejected. {error}"
             return result | unchanged | {"note": note, "note_class": "problem"}
         note = f"Scale 1 is {note}"
-        return result | {
-            "waveform": asdict(waveform),
-            "note": note,
-            "scale": 1.0,
-            "reset_hidden": False,
-        }
+        changed = {"waveform": asdict(waveform), "scale": 1.0, "reset_hidden": False}
+        return result | changed | {"note": note}
 
 
 def decode(contents: str) -> bytes:

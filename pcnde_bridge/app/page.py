@@ -10,7 +10,6 @@ from dash import Patch, dcc, html
 from plotly import graph_objects as go
 from plotly.subplots import make_subplots
 
-from pcnde_bridge._typing import Array
 from pcnde_bridge.app.explorer import Explorer, Line, Panel
 from pcnde_bridge.app.inputs import Choices, Span
 from pcnde_bridge.plots.style import PREDICTED, QUANTITIES, SPACE_LABEL, TIME_LABEL, TRUTH
@@ -24,7 +23,10 @@ LARGEST_UPLOAD = 1_000_000
 NO_CURVES = Panel(Line(np.empty(0), np.empty(0)))
 """Panel without curves."""
 
-_DIGITS = 6
+COMPARISONS = {"interval": "90 % interval", "solver": "1D solver"}
+"""What the prediction can be compared with."""
+
+_DIGITS = 6  # far below the visible differences, so that little is sent
 _INK, _RULE, _AXIS = "#1f2933", "#e4e7eb", "#9aa5b1"
 _EMPTY: list[float] = []
 _SLIDER: dict[str, Any] = {"marks": None, "updatemode": "drag", "included": False}
@@ -67,20 +69,11 @@ def layout(explorer: Explorer, name: str) -> html.Div:
         # 90 % of the length, as in the paper's figures.
         _column(explorer, "over", TIME_LABEL, "grid-point", n_points, round(0.9 * n_points)),
     ]
-    return html.Div(
-        [
-            html.Header([html.H1("PCNDE"), html.Strong(name), html.Span(facts)]),
-            html.Main(
-                [
-                    html.Aside(aside),
-                    html.Section([_legend(explorer), html.Div(columns, className="columns")]),
-                ]
-            ),
-            *(dcc.Store(id=key) for key in ("waveform", "settled", "interval", "solver", "done")),
-            dcc.Download(id="csv"),
-        ],
-        id="page",
-    )
+    graphs = html.Section([_legend(explorer), html.Div(columns, className="columns")])
+    stores = [dcc.Store(id=k) for k in ("waveform", "settled", "interval", "solver", "done")]
+    header = html.Header([html.H1("PCNDE"), html.Strong(name), html.Span(facts)])
+    main = html.Main([html.Aside(aside), graphs])
+    return html.Div([header, main, *stores, dcc.Download(id="csv")], id="page")
 
 
 def _group(title: str, *children: Any) -> html.Div:
@@ -119,11 +112,8 @@ def _controls(choices: Choices) -> list[html.Div]:
 
 def waveform_note(choices: Choices) -> str:
     """Describe the waveform that the scale multiplies when none is uploaded."""
-    waveform = (
-        "strongest waveform of the training data"
-        if choices.from_training
-        else "built-in coronary waveform"
-    )
+    known = "strongest waveform of the training data"
+    waveform = known if choices.from_training else "built-in coronary waveform"
     return f"Scale 1 is the {waveform}, mean {choices.base.mean:.3g} mL/s."
 
 
@@ -131,38 +121,30 @@ def _slider(name: str, label: str, span: Span, source: str, factor: float = 1) -
     minimum, low, high, maximum, step, start = (round(factor * v, _DIGITS) for v in span)
     limits = f"{low:.2g}" if low == high else f"{low:.2g} … {high:.2g}"
     heading = [html.Label(label, htmlFor=name), html.Small(f"{source} {limits}".replace("-", "−"))]
-    return html.Div(
-        [
-            html.Div(heading, className="label"),
-            dcc.Slider(minimum, maximum, step, value=start, id=name, **_SLIDER),
-        ],
-        className="control",
-    )
+    slider = dcc.Slider(minimum, maximum, step, value=start, id=name, **_SLIDER)
+    return html.Div([html.Div(heading, className="label"), slider], className="control")
 
 
 def _comparison(explorer: Explorer) -> html.Div:
-    options = [{"label": "1D solver", "value": "solver"}]
-    if explorer.samples:
-        options.insert(0, {"label": "90 % interval", "value": "interval"})
-    checked = [option["value"] for option in options]
+    options = _comparisons(explorer)
     return _group(
         "Compare with",
-        dcc.Checklist(options, checked, inline=True, id="shown"),
+        dcc.Checklist(options, list(options), inline=True, id="shown"),
         html.P(id="progress", className="hint"),
     )
 
 
 def _legend(explorer: Explorer) -> html.Div:
-    entries = [("prediction", "prediction (PCNDE)")]
-    entries += [("interval", "90 % interval")] if explorer.samples else []
-    entries += [("solver", "1D solver"), ("given", "given: inflow, undeformed area")]
-    return html.Div(
-        [
-            html.Span([html.I(className=f"key {kind}"), text], className="entry")
-            for kind, text in entries
-        ],
-        className="legend",
-    )
+    kinds = {"prediction": "prediction (PCNDE)", **_comparisons(explorer)}
+    kinds["given"] = "given: inflow, undeformed area"
+    keys = {kind: html.I(className=f"key {kind}") for kind in kinds}
+    entries = [html.Span([keys[kind], text], className="entry") for kind, text in kinds.items()]
+    return html.Div(entries, className="legend")
+
+
+def _comparisons(explorer: Explorer) -> dict[str, str]:
+    """Return the comparisons that the model allows."""
+    return {k: text for k, text in COMPARISONS.items() if k != "interval" or explorer.samples}
 
 
 def _column(
@@ -226,26 +208,12 @@ def redraw(panels: Mapping[str, Panel], marker: float, shown: Mapping[int, bool]
     for row, panel in enumerate(panels.values()):
         interval = None
         if panel.low is not None and panel.high is not None:
-            interval = Line(
-                np.concatenate([panel.low.x, panel.high.x[::-1]]),
-                np.concatenate([panel.low.y, panel.high.y[::-1]]),
-            )
-        lines = {
-            INTERVAL: interval,
-            GIVEN: panel.given,
-            SOLVER: panel.solver,
-            PREDICTION: panel.predicted,
-        }
-        for kind, line in lines.items():
+            there_and_back = zip(panel.low, panel.high, strict=True)
+            interval = Line(*(np.concatenate([low, high[::-1]]) for low, high in there_and_back))
+        # In the order of the traces.
+        for kind, line in enumerate((interval, panel.given, panel.solver, panel.predicted)):
             trace = patch["data"][len(_TRACES) * row + kind]
-            visible = line if shown.get(kind, True) else None
-            trace["x"] = _EMPTY if visible is None else _rounded(visible.x)
-            trace["y"] = _EMPTY if visible is None else _rounded(visible.y)
+            visible = line if line and shown.get(kind, True) else NO_CURVES.predicted
+            trace["x"], trace["y"] = (np.round(values, _DIGITS).tolist() for values in visible)
     patch["layout"]["shapes"][0]["x0"] = patch["layout"]["shapes"][0]["x1"] = marker
     return patch
-
-
-def _rounded(values: Array) -> list[float]:
-    """Round far below the visible differences, so that little is sent."""
-    numbers: list[float] = np.round(values, _DIGITS).tolist()
-    return numbers

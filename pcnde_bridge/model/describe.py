@@ -107,24 +107,23 @@ def nearest_preset(config: Config) -> tuple[str, dict[str, Any]]:
     >>> nearest_preset(FAST.replace(flow={"steps": 24}))
     ('fast', {'flow.steps': 24})
     """
-    mine = _flat(config.to_dict())
+    mine = _flat(config)
     differences = {
         name: {key: value for key, value in mine.items() if theirs[key] != value}
         for name, preset in PRESETS.items()
         if type(preset) is type(config)
-        for theirs in [_flat(preset.to_dict())]
+        for theirs in [_flat(preset)]
     }
     name = min(differences, key=lambda name: len(differences[name]))
     return name, differences[name]
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(config: Config) -> dict[str, Any]:
+    """Return the settings by names such as ``flow.epochs``."""
     found: dict[str, Any] = {}
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = value
+    for name, value in config.to_dict().items():
+        group = isinstance(value, dict)
+        found |= {f"{name}.{k}": v for k, v in value.items()} if group else {name: value}
     return found
 
 
@@ -157,11 +156,8 @@ def _history_of_fit(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         by_geometry: dict[int, list[int]] = {}
         for geometry, waveform in facts["cases_labels"]:
             by_geometry.setdefault(geometry, []).append(waveform)
-        text = "\n".join(
-            f"geometry {geometry}: waveforms {', '.join(map(str, waveforms))}"
-            for geometry, waveforms in by_geometry.items()
-        )
-        rows.append(("", text))
+        listed_waveforms = ((g, ", ".join(map(str, w))) for g, w in by_geometry.items())
+        rows.append(("", "\n".join(f"geometry {g}: waveforms {w}" for g, w in listed_waveforms)))
     for name in ("seed", "engine", "trained", "seconds", "platform", "command", "source"):
         if facts.get(name) is not None:
             value = facts[name]
