@@ -19,7 +19,7 @@ from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
 # Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
 # Contents are copied several times on their way into a data set.
-_LARGEST_UNPACKED, _LARGEST_RATIO = 1 << 25, 4
+_LARGEST_UNPACKED, _LARGEST_RATIO = 3 << 23, 4
 
 
 @contextlib.contextmanager
@@ -245,7 +245,7 @@ def check_claim(claimed: int, stored: int) -> None:
     Raises
     ------
     ValueError
-        If they are more than 32 MiB and more than four times the file.
+        If they are more than 24 MiB and more than four times the file.
     """
     if claimed > max(_LARGEST_UNPACKED, _LARGEST_RATIO * stored):
         raise ValueError(f"it claims {claimed} bytes in a file of {stored}")

@@ -176,7 +176,8 @@ class _Decoder:
             data = self._bytes(self._appended[offset:], self._encoded)
         else:
             raise ValueError(f"unknown format {form!r}")
-        self._budget.claim(len(data) // dtype.itemsize * 8)  # numbers become 8 bytes each
+        # Numbers become 8 bytes each; the bytes that they have are in the file or claimed.
+        self._budget.claim(len(data) // dtype.itemsize * 8 - len(data))
         return np.frombuffer(data, dtype)
 
     def _spelled(self, text: str, dtype: type) -> npt.NDArray[Any]:

@@ -158,12 +158,12 @@ def enter(path):
 
 
 def test_contents_far_larger_than_their_file_are_refused():
-    check_claim(1 << 25, 1)
+    check_claim(3 << 23, 1)
     check_claim(4 << 25, 1 << 25)
-    with pytest.raises(ValueError, match="claims 33554433 bytes in a file of 1"):
-        check_claim((1 << 25) + 1, 1)
+    with pytest.raises(ValueError, match="claims 25165825 bytes in a file of 1"):
+        check_claim((3 << 23) + 1, 1)
     budget = Budget(1)
-    budget.claim(1 << 24)
-    budget.claim(1 << 24)
-    with pytest.raises(ValueError, match="claims 33554433 bytes"):
+    budget.claim(3 << 22)
+    budget.claim(3 << 22)
+    with pytest.raises(ValueError, match="claims 25165825 bytes"):
         budget.claim(1)
