@@ -151,7 +151,7 @@ def test_failed_fits_are_left_out_and_told(small_cases, config):
         ensemble = Ensemble.fit(small_cases, config, FailingEngine({0}), **fit)
     assert len(ensemble.members) == 2
     assert list(ensemble.provenance["failures"]) == ["member 0"]
-    with pytest.raises(TaskError, match="too few for an ensemble"):
+    with pytest.raises(TaskError, match="Too few fits remain for an ensemble"):
         Ensemble.fit(small_cases, config, FailingEngine(set(range(10000))), **fit)
 
 
