@@ -137,8 +137,10 @@ def make_folder(folder: Path) -> None:
     Raises
     ------
     FileError
-        If it cannot be created.
+        If it cannot be created, or is a file.
     """
+    if folder.is_file():
+        raise FileError(f"{folder} is a file; give a folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -53,22 +53,14 @@ def data_set(train: Cases, test: Cases | None = None) -> Figure:
                 row = int(np.flatnonzero(cases.labels[kind] == key)[0])
                 axis.plot(x, curves[row], **_LINES[subset])
             drawn[kind] |= set(cases.labels[kind])
-        matrix.plot(
-            cases.labels["waveform"],
-            cases.labels["geometry"],
-            ls="none",
-            ms=6,
-            label=subset,
-            **_MARKERS[subset],
-        )
+        places = cases.labels["waveform"], cases.labels["geometry"]
+        matrix.plot(*places, ls="none", ms=6, label=subset, **_MARKERS[subset])
     over_time.set(xlabel=style.TIME_LABEL, ylabel="inflow Q_in (mL/s)")
     along.set(xlabel=style.SPACE_LABEL, ylabel="undeformed radius (mm)")
     along.set_ylim(bottom=0)
     matrix.set(xlabel="waveform", ylabel="geometry")
     matrix.set(xticks=sorted(drawn["waveform"]), yticks=sorted(drawn["geometry"]))
     matrix.invert_yaxis()
-    matrix.tick_params(labelsize=8)
-    style.format_axis(over_time)
-    style.format_axis(along)
+    matrix.grid(False)
     style.add_legend(figure, matrix)
     return figure

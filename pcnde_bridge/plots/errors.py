@@ -47,7 +47,7 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
         raise InputError("There is no error matrix to plot.")
     rows, columns = next(iter(matrices.values())).shape
     width = len(matrices) * max(_CELL * columns + 0.5, _NARROWEST) + 0.3
-    figure, axes = style.new_figure(width, _CELL * rows + 0.85, 1, len(matrices))
+    figure, axes = style.new_figure(width, _CELL * rows + 0.85, 1, len(matrices), grid=None)
     for axis, (name, matrix) in zip(axes[0], matrices.items(), strict=True):
         percent = 100 * matrix.to_numpy()
         largest = np.nanmax(percent)
@@ -59,7 +59,6 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
                 axis.text(column, row, f"{value:.2f}", color=color, fontsize=6, **center)
         axis.set_xticks(range(columns), [str(key) for key in matrix.columns])
         axis.set_yticks(range(rows), [str(key) for key in matrix.index])
-        axis.tick_params(labelsize=8)
         axis.set_xlabel("waveform")
         axis.set_title(f"{style.QUANTITIES[name].name}: relative error (%)", fontsize=10)
         if training is not None:
@@ -73,16 +72,11 @@ def _frame(axis: Axes, matrix: pd.DataFrame, training: Cases) -> None:
     keys = set(training.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     inside = np.array([[(g, w) in keys for w in matrix.columns] for g in matrix.index])
     padded = np.pad(inside, 1)
-    edges = [
-        ([column - 0.5] * 2, [row - 1.5, row - 0.5])
-        for row, column in np.argwhere(padded[:, 1:] != padded[:, :-1])
-    ]
-    edges += [
-        ([column - 1.5, column - 0.5], [row - 0.5] * 2)
-        for row, column in np.argwhere(padded[1:] != padded[:-1])
-    ]
-    for x, y in edges:
-        axis.plot(x, y, color=style.TRUTH, lw=2.0, solid_capstyle="projecting", clip_on=False)
+    line = {"color": style.TRUTH, "lw": 2.0, "capstyle": "projecting", "clip_on": False}
+    for row, column in np.argwhere(np.diff(padded, axis=1)):
+        axis.vlines(column - 0.5, row - 1.5, row - 0.5, **line)
+    for row, column in np.argwhere(np.diff(padded, axis=0)):
+        axis.hlines(row - 0.5, column - 1.5, column - 0.5, **line)
 
 
 def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged") -> Figure:
@@ -102,7 +96,8 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
         absolute error (bottom); the area's is relative to the area at the first time point.
     """
     case, names = errors.case, list(errors.predicted)
-    figure, axes = style.new_figure(2.9 * len(names), 6.6, 3, len(names), sharex=True, sharey=True)
+    size, shared = (2.9 * len(names), 6.6), {"sharex": True, "sharey": True}
+    figure, axes = style.new_figure(*size, 3, len(names), grid=None, **shared)
     for column, name in zip(axes.T, names, strict=True):
         quantity = style.QUANTITIES[name]
         symbol = quantity.name.split()[-1]
@@ -114,22 +109,12 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
             error = quantity.convert(errors.distance[name])
             error_label = f"|Δ{symbol}| ({quantity.unit})"
         low, high = min(truth.min(), predicted.min()), max(truth.max(), predicted.max())
+        colors = {"cmap": style.VALUE_COLORS, "vmin": low, "vmax": high}
+        error_colors = {"cmap": style.ERROR_COLORS, "vmin": 0.0, "vmax": error.max()}
+        values = ((truth, colors), (predicted, colors), (error, error_colors))
         meshes = [
-            axis.pcolormesh(
-                case.z,
-                case.time,
-                values,
-                cmap=colors,
-                vmin=least,
-                vmax=most,
-                shading="nearest",
-                rasterized=True,
-            )
-            for axis, values, colors, least, most in (
-                (column[0], truth, style.VALUE_COLORS, low, high),
-                (column[1], predicted, style.VALUE_COLORS, low, high),
-                (column[2], error, style.ERROR_COLORS, 0.0, error.max()),
-            )
+            axis.pcolormesh(case.z, case.time, array, shading="nearest", rasterized=True, **look)
+            for axis, (array, look) in zip(column, values, strict=True)
         ]
         for mesh, panels, aspect, label in (
             (meshes[1], column[:2], 30, quantity.label),
@@ -140,8 +125,6 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
             bar.ax.tick_params(labelsize=7)
         column[0].set_title(quantity.name, fontsize=10)
         column[2].set_xlabel(style.SPACE_LABEL)
-    for axis in axes.flat:
-        axis.tick_params(labelsize=8)
     for axis, text in zip(axes[:, 0], (truth_label, "PCNDE", "absolute error"), strict=True):
         axis.set_ylabel(f"{text}\n{style.TIME_LABEL}")
     return figure
@@ -171,7 +154,7 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
         raise InputError("There are no errors to plot.")
     names = list(statistics.index.get_level_values("variable").unique())
     methods = list(statistics.index.get_level_values("method").unique())
-    figure, axes = style.new_figure(2.4 * len(names), 3.2, 1, len(names), sharey=True)
+    figure, axes = style.new_figure(2.4 * len(names), 3.2, 1, len(names), grid="y", sharey=True)
     keys = {"med": "median", "q1": "lower", "q3": "upper", "whislo": "low", "whishi": "high"}
     for axis, name in zip(axes[0], names, strict=True):
         rows = statistics.loc[name].reindex(methods).dropna() * 100
@@ -179,21 +162,14 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
             {"label": method, "fliers": []} | {key: row[column] for key, column in keys.items()}
             for method, row in rows.iterrows()
         ]
-        drawn = axis.bxp(
-            boxes,
-            widths=0.55,
-            showfliers=False,
-            patch_artist=True,
-            medianprops={"color": style.TRUTH, "lw": 2},
-        )
+        line = {"color": style.TRUTH, "lw": 2}
+        drawn = axis.bxp(boxes, widths=0.55, patch_artist=True, medianprops=line)
         for number, (_, row) in enumerate(rows.iterrows()):
             color = (style.PREDICTED, style.OTHER)[number % 2]
             drawn["boxes"][number].set(facecolor=color, alpha=0.45)
             axis.plot([number + 1] * 2, [row["high"], row["largest"]], ":", lw=1, color="black")
             axis.plot(number + 1, row["largest"], "x", ms=6, color="black")
         axis.set_title(style.QUANTITIES[name].name, fontsize=10)
-        axis.grid(axis="y", alpha=0.3)
-        axis.tick_params(labelsize=8)
         axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("pointwise relative error (%)")
     return figure

@@ -20,8 +20,8 @@ _FORMULATIONS: dict[str, dict[str, Any]] = {
     "truth": {
         "color": style.TRUTH,
         "ls": "none",
-        "marker": "o",
-        "ms": 2.5,
+        "marker": ".",
+        "ms": 5,
         "mfc": "none",
         "mew": 0.6,
     },
@@ -76,11 +76,10 @@ def smoothness(
     InputError
         If there is no such subset, case or position.
     """
-    if subset not in study.cases or not -len(study.cases[subset]) <= case < len(
-        study.cases[subset]
-    ):
-        raise InputError(f"The study has no case {case} in the subset {subset!r}.")
+    if subset not in study.cases:
+        raise InputError(f"The study has no subset {subset!r}.")
     cases = study.cases[subset]
+    style.check_case("case", case, cases)
     z_index, time_index = style.z_index_at(cases, position), int(cases.inflow[case].argmax())
     figure, axes = style.new_figure(10, 5.4, 2, 3)
     for (name, which), found in study.results.items():
@@ -92,17 +91,11 @@ def smoothness(
         for column, values in enumerate((found.flow, found.slope, 100 * area)):
             axes[0, column].plot(cases.z, values[case, time_index], **look)
             axes[1, column].plot(cases.time, values[case, :, z_index], **look)
-    titles = (
-        style.QUANTITIES["flow"].label,
-        "slope ∂Q/∂z (mL/s/cm)",
-        "area S from continuity (mm²)",
-    )
-    for column, title in enumerate(titles):
-        axes[0, column].set_title(title, fontsize=10)
-        axes[0, column].set_xlabel(style.SPACE_LABEL)
-        axes[1, column].set_xlabel(style.TIME_LABEL)
-    for axis in axes.flat:
-        style.format_axis(axis)
+    titles = "flow Q (mL/s)", "slope ∂Q/∂z (mL/s/cm)", "area S from continuity (mm²)"
+    for (top, bottom), title in zip(axes.T, titles, strict=True):
+        top.set_title(title, fontsize=10)
+        top.set_xlabel(style.SPACE_LABEL)
+        bottom.set_xlabel(style.TIME_LABEL)
     axes[0, 0].set_ylabel(f"t = {cases.time[time_index]:.2f} s")
     axes[1, 0].set_ylabel(f"z = {cases.z[z_index]:.1f} cm")
     style.add_legend(figure, axes[0, 0], "outside lower center")
@@ -125,8 +118,8 @@ def landscapes(study: LandscapeStudy) -> Figure:
         the cross is the trained network.
     """
     names = list(study.outcomes)
-    width = 2.9 * len(names) + 0.4
-    figure, axes = style.new_figure(width, 5.6, len(_MOMENTS), len(names), sharex=True, sharey=True)
+    size, shared = (2.9 * len(names) + 0.4, 5.6), {"sharex": True, "sharey": True}
+    figure, axes = style.new_figure(*size, len(_MOMENTS), len(names), grid=None, **shared)
     for (moment, description), row in zip(_MOMENTS.items(), axes, strict=True):
         for name, axis in zip(names, row, strict=True):
             _plot_landscape(figure, axis, study, name, moment)
@@ -156,14 +149,8 @@ def _plot_landscape(
     x = landscape.amplitudes
     losses = landscape.losses.T  # matplotlib has x along the columns, the first index is α₁
     low, high = (limit(losses[np.isfinite(losses)]) for limit in (np.min, np.max))
-    mesh = axis.pcolormesh(
-        x,
-        x,
-        np.ma.masked_invalid(losses),
-        norm=LogNorm(low, max(high, 1.001 * low)),
-        cmap="cividis",
-        shading="nearest",
-    )
+    scale = {"norm": LogNorm(low, max(high, 1.001 * low)), "cmap": "cividis"}
+    mesh = axis.pcolormesh(x, x, np.ma.masked_invalid(losses), shading="nearest", **scale)
     if not landscape.diverged.any():
         levels = np.geomspace(low, high, 9)[1:-1]
         axis.contour(x, x, losses, levels=levels, colors="white", linewidths=0.6)

@@ -1,7 +1,7 @@
 """The paper's figures for a model and a data set, as ``pcnde figures`` writes them.
 
 To add a figure, write a function from :class:`FigureData` to :class:`DrawnFigure` with the
-decorator :func:`paper_figure`, and list it in :data:`FIGURES`.
+decorator :func:`paper_figure`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from pcnde_bridge._utils.files import atomic_write, make_folder
 from pcnde_bridge._utils.parallel import Workers
 from pcnde_bridge.config import PAPER, PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import EngineError, FileError, InputError, SolveError
+from pcnde_bridge.data.selection import case_keys
+from pcnde_bridge.errors import EngineError, InputError, SolveError
 from pcnde_bridge.evaluation.baselines import FEM_WALL, Baseline, Solver1D
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
@@ -120,12 +121,8 @@ class FigureData:
 
 def _select(arrays: dict[str, Array], cases: Cases, subset: Cases) -> dict[str, Array]:
     """Return the rows of a subset from arrays of all cases."""
-    keys, wanted = (
-        list(some.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
-        for some in (cases, subset)
-    )
-    position = {key: i for i, key in enumerate(keys)}
-    rows = [position[key] for key in wanted]
+    position = {key: i for i, key in enumerate(case_keys(cases.labels))}
+    rows = [position[key] for key in case_keys(subset.labels)]
     return {name: values[rows] for name, values in arrays.items()}
 
 
@@ -134,6 +131,9 @@ class DrawnFigure(NamedTuple):
 
     figure: Figure
     numbers: pd.DataFrame | None = None
+
+
+_Draw = Callable[[FigureData], DrawnFigure]
 
 
 @dataclass(frozen=True)
@@ -155,15 +155,22 @@ class PaperFigure:
 
     name: str
     description: str
-    draw: Callable[[FigureData], DrawnFigure]
+    draw: _Draw
     cost: str = ""
 
 
-def paper_figure(
-    name: str, description: str, cost: str = ""
-) -> Callable[[Callable[[FigureData], DrawnFigure]], PaperFigure]:
-    """Turn a function that draws into a :class:`PaperFigure`."""
-    return lambda draw: PaperFigure(name, description, draw, cost)
+FIGURES: list[PaperFigure] = []
+"""All figures, in the order in which they are created."""
+
+
+def paper_figure(name: str, description: str, cost: str = "") -> Callable[[_Draw], _Draw]:
+    """Append the decorated function to :data:`FIGURES`."""
+
+    def register(draw: _Draw) -> _Draw:
+        FIGURES.append(PaperFigure(name, description, draw, cost))
+        return draw
+
+    return register
 
 
 @paper_figure("data-set", "waveforms, geometries and split (figure 2)")
@@ -200,8 +207,8 @@ def _results(data: FigureData) -> DrawnFigure:
 @paper_figure("error-matrix", "relative error of every case (figure 4 d)")
 def _error_matrix(data: FigureData) -> DrawnFigure:
     matrices = studies.error_matrix(data.predicted(data.cases), data.cases)
-    figure = plots.error_matrix(matrices, data.train)
-    return DrawnFigure(figure, pd.concat(matrices, names=["variable"]))
+    numbers = pd.concat(matrices, names=["variable"])
+    return DrawnFigure(plots.error_matrix(matrices, data.train), numbers)
 
 
 @paper_figure("pressure-drop", "model, and Seeley and Young (figure 5)")
@@ -210,8 +217,7 @@ def _pressure_drop(data: FigureData) -> DrawnFigure:
     if "pressure" not in predicted:
         raise InputError("The model predicts no pressure, so there is no pressure drop to plot.")
     drops = studies.pressure_drops(predicted["pressure"], data.evaluated, data.model.config.physics)
-    figure = plots.pressure_drops(drops, truth_label=data.truth_label)
-    return DrawnFigure(figure, drops.to_frame())
+    return DrawnFigure(plots.pressure_drops(drops, truth_label=data.truth_label), drops.to_frame())
 
 
 @paper_figure("pointwise-errors", "one case at all time points and grid points (figure 6)")
@@ -234,8 +240,9 @@ def _box_plots(data: FigureData) -> DrawnFigure:
 @paper_figure("fourier-effect", "area before and after the Fourier stage (figure 7 b)")
 def _fourier_effect(data: FigureData) -> DrawnFigure:
     effect = studies.fourier_effect(data.model, data.train)
-    figure = plots.fourier_effect(effect, truth_label=data.truth_label)
-    return DrawnFigure(figure, effect.to_frame())
+    return DrawnFigure(
+        plots.fourier_effect(effect, truth_label=data.truth_label), effect.to_frame()
+    )
 
 
 def _noise(data: FigureData, noisy: studies.NoisyInput) -> DrawnFigure:
@@ -278,11 +285,9 @@ def _minibatch_config(model: PCNDE) -> PCNDEConfig:
 )
 def _smoothness(data: FigureData) -> DrawnFigure:
     config = _minibatch_config(data.model)
-    study = studies.compare_formulations(
-        data.train, data.test, config=config, engine=data.model.engine
-    )
-    figure = plots.smoothness(study, truth_label=data.truth_label)
-    return DrawnFigure(figure, study.to_frame())
+    engine = data.model.engine
+    study = studies.compare_formulations(data.train, data.test, config=config, engine=engine)
+    return DrawnFigure(plots.smoothness(study, truth_label=data.truth_label), study.to_frame())
 
 
 @paper_figure(
@@ -296,24 +301,6 @@ def _landscapes(data: FigureData) -> DrawnFigure:
     config = config.replace(flow={"epochs": config.flow.couple_every})
     study = studies.explore_landscapes(data.train, config=config, engine=data.model.engine)
     return DrawnFigure(plots.landscapes(study), study.to_frame())
-
-
-FIGURES = (
-    _data_set,
-    _history,
-    _results,
-    _error_matrix,
-    _pressure_drop,
-    _pointwise_errors,
-    _box_plots,
-    _fourier_effect,
-    _noise_inflow,
-    _noise_area,
-    _activations,
-    _smoothness,
-    _landscapes,
-)
-"""All figures, in the order in which they are created."""
 
 
 @dataclass(frozen=True)
@@ -356,10 +343,7 @@ def choose(only: Collection[str] = (), with_studies: bool = False) -> list[Paper
     known = [figure.name for figure in FIGURES]
     unknown = [name for name in only if name not in known]
     if unknown:
-        raise InputError(
-            f"There is no figure {', '.join(map(repr, unknown))}; the figures are: "
-            f"{', '.join(known)}."
-        )
+        raise InputError(f"There is no figure {unknown[0]!r}; the figures are: {', '.join(known)}.")
     if only:
         return [figure for figure in FIGURES if figure.name in only]
     return [figure for figure in FIGURES if with_studies or not figure.cost]
@@ -408,8 +392,6 @@ def make_figures(
     figures = choose(only, with_studies)
     data.model.check_grid(data.cases)
     folder = Path(out)
-    if folder.exists() and not folder.is_dir():
-        raise FileError(f"{folder} is a file; give a folder for the figures.")
     make_folder(folder)
     made = []
     for number, figure in enumerate(figures, 1):

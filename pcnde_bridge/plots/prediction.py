@@ -50,27 +50,21 @@ def time_and_space(
     InputError
         If prediction and cases differ in number, or there is no such case or position.
     """
-    if len(prediction) != len(cases) or not -len(cases) <= case < len(cases):
-        raise InputError(
-            f"case {case} must be one of the {len(cases)} cases, of which {len(prediction)} are "
-            "predicted."
-        )
+    if len(prediction) != len(cases):
+        raise InputError(f"There are {len(cases)} cases, but {len(prediction)} are predicted.")
+    style.check_case("case", case, cases)
     variables = prediction.variables()
-    z_index, time_index = style.z_index_at(cases, position), int(cases.inflow[case].argmax())
-    figure, axes = style.time_and_space_figure(
-        8, 2.4 * len(variables), list(variables), cases, z_index, time_index
+    shown = style.z_index_at(cases, position), int(cases.inflow[case].argmax())
+    figure, rows = style.time_and_space_figure(
+        8, 2.4 * len(variables), list(variables), cases, *shown
     )
-    for (over_time, over_space), (name, values) in zip(axes, variables.items(), strict=True):
-        truth, predicted = (
-            style.QUANTITIES[name].convert(array[case]) for array in (getattr(cases, name), values)
-        )
-        for axis, x, points, line in (
-            (over_time, cases.time, truth[:, z_index], predicted[:, z_index]),
-            (over_space, cases.z, truth[time_index], predicted[time_index]),
-        ):
-            axis.plot(x, points, "o", ms=3, mfc="none", color=style.TRUTH, label=truth_label)
-            axis.plot(x, line, "-", lw=1.6, color=style.PREDICTED, label="PCNDE")
-    axes[0, 0].legend(frameon=False, fontsize=9)
+    for panels, (name, values) in zip(rows, variables.items(), strict=True):
+        convert = style.QUANTITIES[name].convert
+        truth, predicted = convert(getattr(cases, name)[case]), convert(values[case])
+        for axis, x, cut in panels:
+            axis.plot(x, truth[cut], "o", ms=3, mfc="none", color=style.TRUTH, label=truth_label)
+            axis.plot(x, predicted[cut], "-", lw=1.6, color=style.PREDICTED, label="PCNDE")
+    rows[0][0].axis.legend(frameon=False, fontsize=9)
     return figure
 
 
@@ -124,22 +118,21 @@ def results(
     if any(len(array) != len(cases) for *_, arrays in methods for array in arrays.values()):
         raise InputError(f"predicted and other must have the {len(cases)} cases of the truth.")
     style.check_case("area_case", area_case, cases)
-    z_index, time_index = style.z_index_at(cases, position), style.time_index_at(cases, time_point)
-    figure, axes = style.time_and_space_figure(
-        7.2, 2.35 * len(names) + 0.3, names, cases, z_index, time_index
-    )
-    for (over_time, over_space), name in zip(axes, names, strict=True):
-        rows = [area_case] if name == "area" else slice(None)
+    shown = style.z_index_at(cases, position), style.time_index_at(cases, time_point)
+    figure, rows = style.time_and_space_figure(7.2, 2.35 * len(names) + 0.3, names, cases, *shown)
+    for panels, name in zip(rows, names, strict=True):
+        curves = [area_case] if name == "area" else slice(None)
         for method, label, arrays in methods:
             if name in arrays:
-                values = style.QUANTITIES[name].convert(arrays[name][rows])
-                style.plot_curves(over_time, cases.time, values[:, :, z_index], method, label)
-                style.plot_curves(over_space, cases.z, values[:, time_index], method, label)
+                values = style.QUANTITIES[name].convert(arrays[name][curves])
+                for axis, x, cut in panels:
+                    style.plot_curves(axis, x, values[cut], method, label)
         if name == "area":
+            over_time, over_space = (panel.axis for panel in panels)
             over_time.set_title(style.case_name(cases, area_case), fontsize=8, loc="right")
             if cases.n_points > 2 * AREA_MARGIN:
                 for edge in (cases.z[AREA_MARGIN], cases.z[-1 - AREA_MARGIN]):
                     over_space.axvline(edge, color="black", lw=0.8)
-    style.letter_panels(axes[:, 0])
-    style.add_legend(figure, axes[0, 0])
+    style.letter_panels([over_time.axis for over_time, _ in rows])
+    style.add_legend(figure, rows[0][0].axis)
     return figure

@@ -46,7 +46,6 @@ def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -
             style.plot_curves(axis, drops.cases.time, values[rows] / style.MMHG, method, label)
         axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied}", loc="left")
         axis.set_xlabel(style.TIME_LABEL)
-        style.format_axis(axis)
     axes[0, 0].set_ylabel("pressure drop Δp (mmHg)")
     style.letter_panels(axes[0])
     style.add_legend(figure, axes[0, 0])
@@ -89,8 +88,7 @@ def fourier_effect(
     time = np.concatenate([cases.time, cases.time + cases.period])
     first = effect.intermediate[case, :, z_index]
     intermediate = np.concatenate([first, first + effect.drift[case, z_index]])
-    figure, axes = style.new_figure(5.8, 3.3)
-    axis = axes[0, 0]
+    figure, [[axis]] = style.new_figure(5.8, 3.3)
     axis.axvline(cases.time[0] + cases.period, color="black", lw=0.8)
     for method, label, values in (
         ("truth", truth_label, np.tile(cases.area[case, :, z_index], 2)),
@@ -100,7 +98,6 @@ def fourier_effect(
         style.plot_curves(axis, time, style.QUANTITIES["area"].convert(values[None]), method, label)
     axis.set(xlabel=style.TIME_LABEL, ylabel=style.QUANTITIES["area"].label)
     axis.set_title(f"{style.case_name(cases, case)}, z = {cases.z[z_index]:.2f} cm", fontsize=9)
-    style.format_axis(axis)
     style.add_legend(figure, axis)
     return figure
 
@@ -135,28 +132,17 @@ def noise(
     InputError
         If there is no such position or time point.
     """
-    case = study.case
-    z_index, time_index = style.z_index_at(case, position), style.time_index_at(case, time_point)
-    figure, axes = style.time_and_space_figure(
-        7.2, 2.2 * len(study.mean) + 0.3, list(study.mean), case, z_index, time_index
-    )
+    case, names = study.case, list(study.mean)
+    shown = style.z_index_at(case, position), style.time_index_at(case, time_point)
+    figure, rows = style.time_and_space_figure(7.2, 2.2 * len(names) + 0.3, names, case, *shown)
     band = {"color": style.PREDICTED, "alpha": 0.25, "lw": 0, "label": "± standard deviation"}
-    for row, name in zip(axes, study.mean, strict=True):
-        truth, mean, width = (
-            style.QUANTITIES[name].convert(values)
-            for values in (
-                getattr(case, name)[0],
-                study.mean[name],
-                study.standard_deviation[name],
-            )
-        )
-        for axis, x, cut in (
-            (row[0], case.time, np.s_[:, z_index]),
-            (row[1], case.z, np.s_[time_index, :]),
-        ):
+    for panels, name in zip(rows, names, strict=True):
+        values = getattr(case, name)[0], study.mean[name], study.standard_deviation[name]
+        truth, mean, width = map(style.QUANTITIES[name].convert, values)
+        for axis, x, cut in panels:
             axis.fill_between(x, mean[cut] - width[cut], mean[cut] + width[cut], **band)
             axis.plot(x, truth[cut], "-", lw=1.4, color=style.TRUTH, label=truth_label)
             axis.plot(x, mean[cut], "--", lw=1.4, color=style.PREDICTED, label="mean of PCNDE")
-    style.letter_panels(axes[:, 0])
-    style.add_legend(figure, axes[0, 0])
+    style.letter_panels([over_time.axis for over_time, _ in rows])
+    style.add_legend(figure, rows[0][0].axis)
     return figure

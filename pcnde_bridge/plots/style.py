@@ -7,7 +7,7 @@ whatever the units of the arrays.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -68,9 +68,14 @@ QUANTITIES = {
 
 
 def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, **options: Any
+    width: float,
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    grid: Literal["both", "y"] | None = "both",
+    **options: Any,
 ) -> tuple[Figure, npt.NDArray[Any]]:
-    """Create a figure with space for all labels.
+    """Create a figure with space for all labels, and the grid and tick labels of all figures.
 
     Parameters
     ----------
@@ -78,6 +83,8 @@ def new_figure(
         Size in inches.
     rows, columns : int
         Number of panels.
+    grid : {'both', 'y'} or None
+        Axes with grid lines.
     **options
         Further arguments of :meth:`matplotlib.figure.Figure.subplots`.
 
@@ -89,17 +96,35 @@ def new_figure(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.tick_params(which="both", labelsize=8)
+        if grid:
+            axis.grid(axis=grid, alpha=0.3)
+    return figure, axes
+
+
+class Panel(NamedTuple):
+    """Panel of one variable, over time or space.
+
+    Attributes
+    ----------
+    axis : Axes
+        The panel.
+    x : array of shape (time,) or (z,)
+        Time points or points.
+    cut : tuple
+        Index that takes the values at x from an array of shape (..., time, z).
+    """
+
+    axis: Axes
+    x: Array
+    cut: Any
 
 
 def time_and_space_figure(
-    width: float,
-    height: float,
-    variables: Sequence[str],
-    cases: Cases,
-    z_index: int,
-    time_index: int,
-) -> tuple[Figure, npt.NDArray[Any]]:
+    width: float, height: float, variables: Sequence[str], cases: Cases, z: int, time: int
+) -> tuple[Figure, list[tuple[Panel, Panel]]]:
     """Create a figure with a row per variable, over time (left) and space (right).
 
     Parameters
@@ -110,19 +135,25 @@ def time_and_space_figure(
         Variables of the rows.
     cases : Cases
         Cases that are drawn; they give the titles of the columns.
-    z_index, time_index : int
+    z, time : int
         Grid point of the left column, and time point of the right one.
+
+    Returns
+    -------
+    Figure, list of (Panel, Panel)
+        The figure and the panels of each variable; the left ones have letters.
     """
     figure, axes = new_figure(width, height, len(variables), 2)
-    axes[0, 0].set_title(f"z = {cases.z[z_index]:.2f} cm", fontsize=10)
-    axes[0, 1].set_title(f"t = {cases.time[time_index]:.2f} s", fontsize=10)
+    axes[0, 0].set_title(f"z = {cases.z[z]:.2f} cm", fontsize=10)
+    axes[0, 1].set_title(f"t = {cases.time[time]:.2f} s", fontsize=10)
     axes[-1, 0].set_xlabel(TIME_LABEL)
     axes[-1, 1].set_xlabel(SPACE_LABEL)
-    for axis, name in zip(axes[:, 0], variables, strict=True):
-        axis.set_ylabel(QUANTITIES[name].label)
-    for axis in axes.flat:
-        format_axis(axis)
-    return figure, axes
+    rows = []
+    for (left, right), name in zip(axes, variables, strict=True):
+        left.set_ylabel(QUANTITIES[name].label)
+        over_time = Panel(left, cases.time, np.s_[..., z])
+        rows.append((over_time, Panel(right, cases.z, np.s_[..., time, :])))
+    return figure, rows
 
 
 def plot_curves(axis: Axes, x: Array, curves: Array, method: str, label: str) -> None:
@@ -143,17 +174,11 @@ def add_legend(
     )
 
 
-def letter_panels(axes: npt.NDArray[Any]) -> None:
+def letter_panels(axes: Iterable[Axes]) -> None:
     """Mark panels a, b, c, … outside their upper left corner."""
     for letter, axis in zip("abcdefgh", axes, strict=False):
         title = axis.get_title("left")
         axis.set_title(f"{letter})  {title}".rstrip(), loc="left", fontsize=10)
-
-
-def format_axis(axis: Axes) -> None:
-    """Apply the grid and tick labels that all figures share."""
-    axis.grid(alpha=0.3)
-    axis.tick_params(which="both", labelsize=8)
 
 
 def z_index_at(cases: Cases, position: float) -> int:
@@ -189,7 +214,7 @@ def time_index_at(cases: Cases, time_point: float) -> int:
 def check_case(name: str, case: int, cases: Cases) -> None:
     """Raise InputError if there is no case with this position."""
     if not -len(cases) <= case < len(cases):
-        raise InputError(f"{name} is {case}, but there are {len(cases)} cases.")
+        raise InputError(f"{name} {case} must be one of the {len(cases)} cases.")
 
 
 def case_name(cases: Cases, case: int) -> str:

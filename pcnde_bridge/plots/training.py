@@ -75,7 +75,6 @@ def loss_history(history: pd.DataFrame) -> Figure:
         title, unit = _STAGES[stage]
         axis.set_title(title, fontsize=10)
         axis.set(xlabel="iteration", ylabel=f"loss ({unit})")
-        style.format_axis(axis)
     return figure
 
 
@@ -140,6 +139,5 @@ def activations(study: pd.DataFrame) -> Figure:
     for axis in axes[0]:
         axis.set(yscale="log", xlabel="activation function", xlim=(-0.6, len(known) - 0.4))
         axis.set_xticks(range(len(known)), known)
-        style.format_axis(axis)
     errors.legend(frameon=False, fontsize=8)
     return figure
