@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ import pandas as pd
 from pcnde_bridge._utils.files import cache_folder
 from pcnde_bridge._utils.validation import real_array, whole
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.hemodynamics.discretization import discretize_vessels
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
@@ -112,30 +114,26 @@ def synthetic(
     seed, n_points = whole("seed", seed), whole("n_points", n_points)
     positions = real_array("stenosis_positions", stenosis_positions)
     if positions.ndim != 1:
-        raise InputError(
-            f"stenosis_positions must be a sequence (cm), got {stenosis_positions!r}; use "
-            "(2.0,) for a single one."
-        )
+        raise InputError(f"stenosis_positions must be a sequence (cm), got {stenosis_positions!r}.")
     if not len(positions) and n_geometries > 1:
-        raise InputError(
-            f"Without a stenosis all {n_geometries} geometries are the same; use n_geometries=1."
-        )
+        raise InputError("Without a stenosis all geometries are the same; use n_geometries=1.")
     solver = Tube1D() if tube is None else tube
     blockages = np.linspace(*BLOCKAGES, n_geometries).round(12).tolist()
-    vessels = [
-        Vessel(tuple(Stenosis(blockage, position) for position in positions.tolist()))
-        for blockage in blockages
-    ]
+    places = positions.tolist()
+    vessels = [Vessel(tuple(Stenosis(beta, place) for place in places)) for beta in blockages]
     factors = _factors(n_waveforms)
     waveforms = base_waveform(seed).family(factors)
+    solve = partial(_solve, solver, vessels, waveforms, factors, n_points, progress)
     if cache is False:
-        return _solve(solver, vessels, waveforms, factors, n_points, progress)
-    key = _key(vessels, waveforms, n_points, solver)
+        return solve()
+    # The name has a checksum of everything that the numbers depend on.
+    content = (DATA_VERSION, vessels, waveforms, OUTLET_RESISTANCE, n_points, solver)
+    key = hashlib.sha256(repr(content).encode()).hexdigest()[:16]
     folder = cache_folder(None if cache is True else cache) / "synthetic"
     path = folder / f"{n_geometries}x{n_waveforms}-seed{seed}-{key}.npz"
     cases = _read(path)
     if cases is None:
-        cases = _solve(solver, vessels, waveforms, factors, n_points, progress)
+        cases = solve()
         _write(path, cases)
     return cases
 
@@ -168,14 +166,6 @@ def _factors(count: int) -> tuple[float, ...]:
     return tuple(factors.round(12).tolist())
 
 
-def _key(
-    vessels: Sequence[Vessel], waveforms: Sequence[Waveform], n_points: int, tube: Tube1D
-) -> str:
-    """Checksum of everything that the numbers depend on."""
-    content = (DATA_VERSION, vessels, waveforms, OUTLET_RESISTANCE, n_points, tube)
-    return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
-
-
 def _solve(
     tube: Tube1D,
     vessels: Sequence[Vessel],
@@ -189,18 +179,10 @@ def _solve(
     from rich.progress import track
 
     outlet, n = Windkessel(OUTLET_RESISTANCE), len(waveforms)
-    labels = [
-        pd.DataFrame(
-            {
-                "geometry": number,
-                "waveform": range(n),
-                "blockage": vessel.blockage,
-                "factor": factors,
-            }
-        )
-        for number, vessel in enumerate(vessels, start=1)
-    ]
-    batches = list(zip(vessels, labels, strict=True))
+    batches = []
+    for number, vessel in enumerate(vessels, start=1):
+        given = {"waveform": range(n), "blockage": vessel.blockage, "factor": factors}
+        batches.append((vessel, pd.DataFrame({"geometry": number, **given})))
     for vessel, table in batches:  # all of them before anything is computed
         discretize_vessels(tube, [vessel] * n, waveforms, outlet, n_points, labels=table)
     description, console = f"Computing {len(vessels) * n} cases", Console(stderr=True)
@@ -209,12 +191,8 @@ def _solve(
         for vessel, table in track(batches, description, console=console, disable=not progress)
     ]
     cases = _concatenate(parts)
-    _log.info(
-        "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst.",
-        len(cases),
-        cases.labels["periodicity"].max(),
-        cases.labels["volume_balance"].max(),
-    )
+    words = "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst."
+    _log.info(words, len(cases), *cases.labels[list(SOLVER_LABELS)].max())
     return cases
 
 

@@ -14,14 +14,15 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, PCNDEError
 from pcnde_bridge.model.ensemble import ENSEMBLE_FORMAT, ENSEMBLE_VERSION
 from pcnde_bridge.model.pcnde import MODEL_FORMAT, MODEL_VERSION
-from pcnde_bridge.training import closure_training, staged_training
+from pcnde_bridge.training.closure_training import ClosureTraining
+from pcnde_bridge.training.staged_training import StagedTraining
 
 _FORMATS = {
     MODEL_FORMAT: (MODEL_VERSION, "model"),
     ENSEMBLE_FORMAT: (ENSEMBLE_VERSION, "ensemble"),
-    staged_training.FORMAT: (staged_training.FORMAT_VERSION, "checkpoint"),
-    closure_training.FORMAT: (closure_training.FORMAT_VERSION, "checkpoint"),
 }
+for _format, _version in (StagedTraining.checkpoint_format, ClosureTraining.checkpoint_format):
+    _FORMATS[_format] = (_version, "checkpoint")
 
 
 def describe(path: StrPath) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -72,11 +72,12 @@ def _frame(axis: Axes, matrix: pd.DataFrame, training: Cases) -> None:
     keys = set(training.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     inside = np.array([[(g, w) in keys for w in matrix.columns] for g in matrix.index])
     padded = np.pad(inside, 1)
-    line = {"color": style.TRUTH, "lw": 2.0, "capstyle": "projecting", "clip_on": False}
+    line: dict[str, Any] = {"color": style.TRUTH, "lw": 2.0, "clip_on": False}
+    line["solid_capstyle"] = "projecting"
     for row, column in np.argwhere(np.diff(padded, axis=1)):
-        axis.vlines(column - 0.5, row - 1.5, row - 0.5, **line)
+        axis.plot([column - 0.5] * 2, [row - 1.5, row - 0.5], **line)
     for row, column in np.argwhere(np.diff(padded, axis=0)):
-        axis.hlines(row - 0.5, column - 1.5, column - 0.5, **line)
+        axis.plot([column - 1.5, column - 0.5], [row - 0.5] * 2, **line)
 
 
 def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged") -> Figure:
@@ -96,8 +97,8 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
         absolute error (bottom); the area's is relative to the area at the first time point.
     """
     case, names = errors.case, list(errors.predicted)
-    size, shared = (2.9 * len(names), 6.6), {"sharex": True, "sharey": True}
-    figure, axes = style.new_figure(*size, 3, len(names), grid=None, **shared)
+    width, shape = 2.9 * len(names), (3, len(names))
+    figure, axes = style.new_figure(width, 6.6, *shape, grid=None, sharex=True, sharey=True)
     for column, name in zip(axes.T, names, strict=True):
         quantity = style.QUANTITIES[name]
         symbol = quantity.name.split()[-1]
@@ -109,8 +110,12 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
             error = quantity.convert(errors.distance[name])
             error_label = f"|Δ{symbol}| ({quantity.unit})"
         low, high = min(truth.min(), predicted.min()), max(truth.max(), predicted.max())
-        colors = {"cmap": style.VALUE_COLORS, "vmin": low, "vmax": high}
-        error_colors = {"cmap": style.ERROR_COLORS, "vmin": 0.0, "vmax": error.max()}
+        colors: dict[str, Any] = {"cmap": style.VALUE_COLORS, "vmin": low, "vmax": high}
+        error_colors: dict[str, Any] = {
+            "cmap": style.ERROR_COLORS,
+            "vmin": 0.0,
+            "vmax": error.max(),
+        }
         values = ((truth, colors), (predicted, colors), (error, error_colors))
         meshes = [
             axis.pcolormesh(case.z, case.time, array, shading="nearest", rasterized=True, **look)

@@ -118,8 +118,8 @@ def landscapes(study: LandscapeStudy) -> Figure:
         the cross is the trained network.
     """
     names = list(study.outcomes)
-    size, shared = (2.9 * len(names) + 0.4, 5.6), {"sharex": True, "sharey": True}
-    figure, axes = style.new_figure(*size, len(_MOMENTS), len(names), grid=None, **shared)
+    width, shape = 2.9 * len(names) + 0.4, (len(_MOMENTS), len(names))
+    figure, axes = style.new_figure(width, 5.6, *shape, grid=None, sharex=True, sharey=True)
     for (moment, description), row in zip(_MOMENTS.items(), axes, strict=True):
         for name, axis in zip(names, row, strict=True):
             _plot_landscape(figure, axis, study, name, moment)
@@ -149,7 +149,7 @@ def _plot_landscape(
     x = landscape.amplitudes
     losses = landscape.losses.T  # matplotlib has x along the columns, the first index is α₁
     low, high = (limit(losses[np.isfinite(losses)]) for limit in (np.min, np.max))
-    scale = {"norm": LogNorm(low, max(high, 1.001 * low)), "cmap": "cividis"}
+    scale: dict[str, Any] = {"norm": LogNorm(low, max(high, 1.001 * low)), "cmap": "cividis"}
     mesh = axis.pcolormesh(x, x, np.ma.masked_invalid(losses), shading="nearest", **scale)
     if not landscape.diverged.any():
         levels = np.geomspace(low, high, 9)[1:-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -135,7 +135,12 @@ def noise(
     case, names = study.case, list(study.mean)
     shown = style.z_index_at(case, position), style.time_index_at(case, time_point)
     figure, rows = style.time_and_space_figure(7.2, 2.2 * len(names) + 0.3, names, case, *shown)
-    band = {"color": style.PREDICTED, "alpha": 0.25, "lw": 0, "label": "± standard deviation"}
+    band: dict[str, Any] = {
+        "color": style.PREDICTED,
+        "alpha": 0.25,
+        "lw": 0,
+        "label": "± standard deviation",
+    }
     for panels, name in zip(rows, names, strict=True):
         values = getattr(case, name)[0], study.mean[name], study.standard_deviation[name]
         truth, mean, width = map(style.QUANTITIES[name].convert, values)

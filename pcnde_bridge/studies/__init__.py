@@ -15,11 +15,7 @@ from pcnde_bridge.studies.landscapes import (
     explore_landscapes,
     loss_landscape,
 )
-from pcnde_bridge.studies.noise import (
-    NoiseStudy,
-    NoisyInput,
-    noise_study,
-)
+from pcnde_bridge.studies.noise import NoiseStudy, NoisyInput, noise_study
 from pcnde_bridge.studies.pressure_drop import PressureDrops, pressure_drops
 
 __all__ = [

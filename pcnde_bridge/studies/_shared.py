@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils import validation
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.parameters import Parameters
@@ -27,11 +28,7 @@ def check_shape(variable: str, values: Array, cases: Cases) -> Array:
         If the shapes differ.
     """
     truth: Array = getattr(cases, variable)
-    if values.shape != truth.shape:
-        raise InputError(
-            f"The predicted {variable} has the shape {values.shape}, not {truth.shape}, the shape "
-            "in the cases."
-        )
+    validation.check_shape(f"The predicted {variable}", values, truth.shape, "case, time, z")
     return truth
 
 
@@ -52,8 +49,5 @@ def staged_parts(model: PCNDE, missing: str) -> tuple[PCNDEConfig, Parameters]:
     """
     config, parameters = model.config, model.parameters
     if not isinstance(config, PCNDEConfig) or not isinstance(parameters, Parameters):
-        raise InputError(
-            f"A model of the preset physics has no {missing}. Give a model of the preset paper or "
-            "fast."
-        )
+        raise InputError(f"A model of the preset physics has no {missing}; give another model.")
     return config, parameters

@@ -78,25 +78,16 @@ def activation_study(
     config, parameters = staged_parts(model, "pressure network whose activation could be changed")
     known = get_args(Activation)
     if not activations or len(set(activations)) < len(activations) or set(activations) - {*known}:
-        raise InputError(
-            f"Give at least one activation of {list(known)}, and none twice; got "
-            f"{list(activations)}."
-        )
+        raise InputError(f"Give some activations of {known}, none twice; got {activations}.")
     seeds = whole_seeds(seeds)
     subsets = {"train": train} if test is None else {"train": train, "test": test}
     for cases in subsets.values():
         model.check_grid(cases)
     pairs = [(activation, seed) for activation in activations for seed in seeds]
-    tasks = {
-        f"{activation}, seed {seed}": (
-            model.engine,
-            config.replace(temporal_pressure={"activation": activation}),
-            parameters,
-            seed,
-            subsets,
-        )
-        for activation, seed in pairs
-    }
+    tasks = {}
+    for activation, seed in pairs:
+        changed = config.replace(temporal_pressure={"activation": activation})
+        tasks[f"{activation}, seed {seed}"] = model.engine, changed, parameters, seed, subsets
     rows = each(_fit_and_measure, tasks, executor, progress)
     index = pd.MultiIndex.from_tuples(pairs, names=["activation", "seed"])
     return pd.DataFrame(rows, index=index)

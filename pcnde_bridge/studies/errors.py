@@ -71,16 +71,13 @@ class PointwiseErrors:
         """
         z = self.case.z
         middle = (z[0] + z[-1]) / 2
-        rows = {
-            name: {
-                "mean": float(values.mean()),
-                "largest": float(values.max()),
-                "upstream": float(values[:, z < middle].mean()),
-                "downstream": float(values[:, z > middle].mean()),
-            }
-            for name, values in self.distance.items()
+        columns = {
+            "mean": [values.mean() for values in self.distance.values()],
+            "largest": [values.max() for values in self.distance.values()],
+            "upstream": [values[:, z < middle].mean() for values in self.distance.values()],
+            "downstream": [values[:, z > middle].mean() for values in self.distance.values()],
         }
-        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variable")
+        return pd.DataFrame(columns, pd.Index(list(self.distance), name="variable"))
 
 
 def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseErrors:
@@ -129,9 +126,7 @@ def relative_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, A
     for name, values in predicted.items():
         truth = compared(name, check_shape(name, values, cases))
         if not truth.all():
-            raise InputError(
-                f"The true {name} is 0 somewhere, so its relative error is undefined there."
-            )
+            raise InputError(f"The true {name} is 0 somewhere: its relative error is undefined.")
         errors[name] = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
     return errors
 

@@ -32,8 +32,7 @@ from pcnde_bridge.training import history as histories
 from pcnde_bridge.training import minibatch
 from pcnde_bridge.training.area_fit import fit_area
 from pcnde_bridge.training.history import Iteration, Recorder
-from pcnde_bridge.training.procedure import Procedure, Step
-from pcnde_bridge.training.state import RunState
+from pcnde_bridge.training.procedure import Procedure, RunState, Step
 from pcnde_bridge.training.trainer import Session, Trainer, training_session
 
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
@@ -247,9 +246,10 @@ class _FormulationTraining(Procedure[_FormulationState]):
 
     def fit(self, step: Step, state: _FormulationState, recorder: Recorder) -> _FormulationState:
         """Return the state with the network fitted to a batch."""
-        data = self._inputs(self.cases), self.cases.flow, state.batches[step.batch - 1]
-        settings = self.cases.grid, self.config, self._settings.iterations
-        optimize = partial(minibatch.fit_batch, self._stage, state.parameters, *data, *settings)
+        cases, batch = self.cases, state.batches[step.batch - 1]
+        inputs, target = minibatch.select(self._inputs(cases), batch), cases.flow[batch]
+        run = cases.grid, self.config, self._settings.iterations
+        optimize = partial(self._stage.fit, state.parameters, inputs, target, *run)
         return replace(state, parameters=recorder.run(*step, optimize))
 
     def train(self, state: _FormulationState, session: Session) -> tuple[_FormulationState, str]:

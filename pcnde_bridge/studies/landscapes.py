@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +32,8 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
+from pcnde_bridge.training.procedure import TrainingState
 from pcnde_bridge.training.staged_training import StagedTraining
-from pcnde_bridge.training.state import TrainingState
 from pcnde_bridge.training.trainer import Session, Trainer, staged_training, training_session
 
 Moment = Literal["initial", "coupled"]
@@ -148,10 +148,8 @@ class LandscapeStudy:
 
     def landscape(self, right_hand_side: str, moment: Moment) -> Landscape | None:
         """Return one landscape; None if training diverged before that moment."""
-        for landscape in self.landscapes:
-            if (landscape.right_hand_side, landscape.moment) == (right_hand_side, moment):
-                return landscape
-        return None
+        known = {(each.right_hand_side, each.moment): each for each in self.landscapes}
+        return known.get((right_hand_side, moment))
 
     def to_frame(self) -> pd.DataFrame:
         """Return all points of all landscapes; see :meth:`Landscape.to_frame`."""
@@ -221,9 +219,8 @@ def loss_landscape(
     """
     first, second = np.random.default_rng(seed).standard_normal((2, parameters.size))
     along = amplitudes(amplitude, points)
-    vectors = parameters + (along[:, None, None] * first + along[None, :, None] * second).reshape(
-        -1, parameters.size
-    )
+    shifts = along[:, None, None] * first + along[None, :, None] * second
+    vectors = parameters + shifts.reshape(-1, parameters.size)
     losses = engine.flow.losses(vectors, inputs, target, grid, config)
     return np.where(np.isfinite(losses), losses, np.inf).reshape(points, points)
 
@@ -238,9 +235,7 @@ def amplitudes(largest: float, points: int) -> Array:
     """
     points = whole("points", points, 3)
     if points % 2 == 0:
-        raise InputError(
-            f"points must be odd, so that one of them is at amplitude 0; got {points}."
-        )
+        raise InputError(f"points must be odd, so that one has amplitude 0; got {points}.")
     largest = positive("amplitude", largest)
     half = points // 2
     return largest * np.arange(-half, half + 1) / half
@@ -310,9 +305,8 @@ def explore_landscapes(
     with training_session(progress, iterations * len(procedures)) as session:
         for name, procedure in procedures.items():
             records = _Records(session)
-            evaluate = partial(
-                _evaluate, name, procedure, amplitude=amplitude, points=points, seed=seed
-            )
+            around: dict[str, Any] = {"amplitude": amplitude, "points": points, "seed": seed}
+            evaluate = partial(_evaluate, name, procedure, **around)
             found, outcomes[name] = _train(procedure, start, records, evaluate)
             landscapes += found
             frames.append(histories.to_frame(records.iterations).assign(right_hand_side=name))
@@ -363,30 +357,16 @@ def _train(
 
 
 def _evaluate(
-    name: str,
-    procedure: StagedTraining,
-    moment: Moment,
-    state: TrainingState,
-    *,
-    amplitude: float,
-    points: int,
-    seed: int,
+    name: str, procedure: StagedTraining, moment: Moment, state: TrainingState, **around: Any
 ) -> Landscape:
     """Return the landscape of the first batch, with the area that the network then uses."""
     cases, area, batch = procedure.cases, procedure.coupled_area(state), state.batches[0]
-    losses = loss_landscape(
-        procedure.engine,
-        state.parameters.flow,
-        FlowInputs(cases.inflow[batch], area[batch]),
-        cases.flow[batch],
-        cases.grid,
-        procedure.config,
-        amplitude=amplitude,
-        points=points,
-        seed=seed,
-    )
+    inputs, target = FlowInputs(cases.inflow[batch], area[batch]), cases.flow[batch]
+    run = inputs, target, cases.grid, procedure.config
+    losses = loss_landscape(procedure.engine, state.parameters.flow, *run, **around)
     error = relative_error(compared("area", area), compared("area", cases.area))
-    return Landscape(name, moment, amplitudes(amplitude, points), losses, error)
+    along = amplitudes(around["amplitude"], around["points"])
+    return Landscape(name, moment, along, losses, error)
 
 
 def _describe_divergence(iterations: list[Iteration]) -> str:

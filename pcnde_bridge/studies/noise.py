@@ -156,9 +156,7 @@ def noise_study(
         case,
         unperturbed={name: array[0] for name, array in values.items()},
         mean={name: array[exact:].mean(axis=0) for name, array in values.items()},
-        standard_deviation={
-            name: array[exact:].std(axis=0, ddof=1) for name, array in values.items()
-        },
+        standard_deviation={k: array[exact:].std(axis=0, ddof=1) for k, array in values.items()},
     )
 
 
@@ -170,10 +168,8 @@ def noisy_inputs(
     The first ``exact`` rows have no noise.
     """
     rng = np.random.default_rng(seed)
-    inputs = {
-        name: np.repeat(getattr(case, name), exact + samples, axis=0)
-        for name in get_args(NoisyInput)
-    }
+    rows, names = exact + samples, get_args(NoisyInput)
+    inputs = {name: np.repeat(getattr(case, name), rows, axis=0) for name in names}
     clean = inputs[noisy][exact:].copy()
     sigma = level * np.abs(clean).max()
     values = clean + sigma * rng.standard_normal(clean.shape)

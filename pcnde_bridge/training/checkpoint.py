@@ -120,13 +120,11 @@ class Checkpoint:
         if state is None:
             raise InputError(f"{path} belongs to a run {difference}, or another checkpoint file.")
         if engine != self._engine.name:
-            _log.warning(
+            words = (
                 "%s was written with the %s engine and continues with %s: the result agrees to "
-                "the accuracy of the solver, not bit for bit.",
-                path,
-                engine,
-                self._engine.name,
+                "the accuracy of the solver, not bit for bit."
             )
+            _log.warning(words, path, engine, self._engine.name)
         return state
 
     def _difference(self, facts: Mapping[str, Any], seed: int) -> str | None:

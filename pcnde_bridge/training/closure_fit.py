@@ -7,14 +7,14 @@ same parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import ClosureConfig
+from pcnde_bridge.config import ClosureConfig, OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.engines.equations import harmonic_frequencies, outlet_impedance, rate
@@ -31,14 +31,8 @@ _FLOW_POINTS = 5
 _LOSS_TOLERANCE = 1e-4
 """Relative decrease of the loss below which a fit ends."""
 
-_OUTCOMES = {
-    0: "all evaluations done",
-    1: "gradient tolerance",
-    2: "loss tolerance",
-    3: "step tolerance",
-    4: "loss and step tolerance",
-}
-"""Outcomes of a fit by the status of :func:`scipy.optimize.least_squares`."""
+_TOLERANCES = "", "gradient", "loss", "step", "loss and step"
+"""Tolerances by the status of :func:`scipy.optimize.least_squares`."""
 
 _SMOOTH_OUTLET = 0.01  # largest error of a resistance, relative to the pressure's variation
 _FIRST_LOGIT = -4.0  # of the correction: almost off
@@ -47,9 +41,10 @@ _SMALLEST_STORAGE = 0.01
 _CEILINGS = (0.01, 0.95)
 
 
-class _Range(NamedTuple):
-    """Start of a parameter, and its bounds."""
+class _Parameter(NamedTuple):
+    """Given value of a parameter, or None; else the start of its fit, and its bounds."""
 
+    given: float | None
     start: float
     low: float = -np.inf
     high: float = np.inf
@@ -77,20 +72,13 @@ def fit_outlet(cases: Cases, config: ClosureConfig) -> Array:
     error = np.std(pressure - resistance * flow - distal) / np.std(pressure)
     if given.kind == "resistance" or (given.kind == "auto" and error <= _SMOOTH_OUTLET):
         return np.array([resistance, 0.0, 0.0, distal])
-    return _fit_windkessel(
-        flow, pressure, cases.period, resistance, given.resistance, given.distal_pressure
-    )
+    return _fit_windkessel(flow, pressure, cases.period, resistance, given)
 
 
 def _fit_windkessel(
-    flow: Array,
-    pressure: Array,
-    period: float,
-    total: float,
-    resistance: float | None,
-    distal: float | None,
+    flow: Array, pressure: Array, period: float, total: float, given: OutletClosure
 ) -> Array:
-    """Fit around the resistance ``total``; ``resistance`` and ``distal`` are found if None."""
+    """Fit three elements around the resistance ``total``, which a regression has found."""
     from scipy.optimize import least_squares
 
     n_times = flow.shape[1]
@@ -112,36 +100,30 @@ def _fit_windkessel(
 
     # A regression over all time points does not give R₁ + R₂; a given number stays (almost).
     tiny = 1e-9
-    offset = None if distal is None else distal / scale
+    offset = None if given.distal_pressure is None else given.distal_pressure / scale
     offsets = (-np.inf, np.inf) if offset is None else (offset - tiny, offset + tiny)
-    factors = (0.1, 10.0) if resistance is None else (1 - tiny, 1 + tiny)
+    factors = (0.1, 10.0) if given.resistance is None else (1 - tiny, 1 + tiny)
     low, high = np.array([(1e-3, 1.0), (0.0, 100 * period), offsets, factors]).T
     start = [0.2, 0.2 * period, offset or 0.0, 1.0]
     return numbers(least_squares(residual, start, bounds=(low, high)).x)
 
 
 def fit_losses(
-    closures: Closures,
-    cases: Cases,
-    config: ClosureConfig,
-    on_iteration: OnIteration | None = None,
+    closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit friction, inertia, convection and jet spread to p − p(L), with the reference flow."""
     given = config.losses
     target = cases.pressure - cases.pressure[:, :, -1:]
     problem = closures.losses(cases.flow, cases.area_undeformed, cases.grid, config)
-    factor = _Range(1.0, 0.01, 100.0)
-    ranges = [factor, factor, factor, _Range(0.1, 1e-3, 10.0)]
-    numbers = (given.friction, given.inertia, given.convection, given.jet_spread)
+    factors = given.friction, given.inertia, given.convection
+    parameters = [_Parameter(factor, 1.0, 0.01, 100.0) for factor in factors]
+    parameters.append(_Parameter(given.jet_spread, 0.1, 1e-3, 10.0))
     residual = _relative(problem, target, float(np.linalg.norm(cases.pressure)))
-    return _solve(residual, ranges, numbers, config.correction.evaluations, on_iteration)
+    return _solve(residual, parameters, config.correction.evaluations, on_iteration)
 
 
 def fit_wall(
-    closures: Closures,
-    cases: Cases,
-    config: ClosureConfig,
-    on_iteration: OnIteration | None = None,
+    closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit the wall parameters to S, with the reference pressure."""
     given = config.wall
@@ -154,27 +136,20 @@ def fit_wall(
     strain = np.sqrt(target[:, :, point] / np.pi) / radius - 1
     slope, offset = np.polyfit(strain.ravel(), pressure[:, :, point].ravel(), 1)
     stiffness = max(float(slope), float(np.ptp(pressure)) * 1e-3)
-    zero = _Range(float(offset) if abs(offset) > 0.2 * float(np.abs(pressure).max()) else 0.0)
-    numbers: Sequence[float | None]
+    zero = float(offset) if abs(offset) > 0.2 * float(np.abs(pressure).max()) else 0.0
     if given.law == "membrane":
-        k = stiffness * float(radius.mean())
-        ranges = [
-            _Range(k, k * 1e-3, k * 1e3),
-            _Range(0.45, 0.0, 0.5),
-            _Range(0.2, 1e-4, 10.0),
-            _Range(1.0, 1e-6, 1e4),
-            zero,
+        stiffness *= float(radius.mean())
+        others = [
+            _Parameter(given.poisson, 0.45, 0.0, 0.5),
+            _Parameter(given.shear, 0.2, 1e-4, 10.0),
+            _Parameter(given.support, 1.0, 1e-6, 1e4),
         ]
-        numbers = given.stiffness, given.poisson, given.shear, given.support, given.zero_pressure
     else:
-        ranges = [
-            _Range(stiffness, stiffness * 1e-3, stiffness * 1e3),
-            _Range(0.0, -10.0, 10.0),
-            zero,
-        ]
-        numbers = given.stiffness, given.exponent, given.zero_pressure
+        others = [_Parameter(given.exponent, 0.0, -10.0, 10.0)]
+    first = _Parameter(given.stiffness, stiffness, stiffness * 1e-3, stiffness * 1e3)
+    parameters = [first, *others, _Parameter(given.zero_pressure, zero)]
     residual = _relative(problem, target, float(np.linalg.norm(target)))
-    return _solve(residual, ranges, numbers, config.correction.evaluations, on_iteration)
+    return _solve(residual, parameters, config.correction.evaluations, on_iteration)
 
 
 def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generator) -> Array:
@@ -259,9 +234,9 @@ def fit_correction(
         slope = slope.reshape(-1, x.size)
         return np.concatenate([error, decay * (x[1:] - center)]), np.concatenate([slope, prior])
 
-    ranges = [_Range(float(number)) for number in (*kappa, *weights)]
-    numbers = (settings.storage, *(None for _ in weights))
-    found = _solve(residual, ranges, numbers, evaluations, on_iteration)
+    parameters = [_Parameter(settings.storage, float(kappa[0]))]
+    parameters += [_Parameter(None, float(weight)) for weight in weights]
+    found = _solve(residual, parameters, evaluations, on_iteration)
     return replace(found, parameters=whole(found.parameters))
 
 
@@ -277,16 +252,15 @@ def _relative(problem: Problem, target: Array, scale: float) -> Problem:
 
 def _solve(
     residual: Problem,
-    ranges: Sequence[_Range],
-    given: Sequence[float | None],
+    parameters: Sequence[_Parameter],
     evaluations: int,
     on_iteration: OnIteration | None,
 ) -> Fit:
     """Minimize ½|residual|² over the parameters that are not given."""
     from scipy.optimize import least_squares
 
-    x = np.array([r.start if g is None else g for r, g in zip(ranges, given, strict=True)])
-    free = np.array([g is None for g in given])
+    x = np.array([p.start if p.given is None else p.given for p in parameters])
+    free = np.array([p.given is None for p in parameters])
     if not free.any():
         return Fit(x, np.empty(0), True, "all parameters are given")
     problem = _FreeProblem(residual, x, free, on_iteration)
@@ -295,57 +269,54 @@ def _solve(
             "The closures cannot be evaluated at their first values. Check the units of the "
             "training cases (mL/s, cm², dyn/cm²)."
         )
-    bounds = np.array([(r.low, r.high) for r, f in zip(ranges, free, strict=True) if f]).T
+    low, high = np.array([(p.low, p.high) for p in parameters])[free].T
     found = least_squares(
         problem.value,
         x[free],
         problem.jacobian,
-        bounds=(bounds[0], bounds[1]),
-        method="trf" if np.isfinite(bounds).any() else "lm",
+        bounds=(low, high),
+        method="trf" if np.isfinite([low, high]).any() else "lm",
         x_scale="jac",
         max_nfev=evaluations,
         ftol=_LOSS_TOLERANCE,
     )
-    losses = np.array(problem.losses)
-    return Fit(problem.whole(found.x), losses, found.status > 0, _OUTCOMES[found.status])
+    met = _TOLERANCES[found.status]
+    outcome = f"{met} tolerance" if met else "all evaluations done"
+    return Fit(problem.whole(found.x), np.array(problem.losses), bool(met), outcome)
 
 
+@dataclass
 class _FreeProblem:
     """Least-squares problem in the free parameters, with the Jacobian of the last evaluation.
 
     ``losses`` has the loss of each evaluation that decreased it.
     """
 
-    def __init__(
-        self,
-        residual: Callable[[Array], tuple[Array, Array]],
-        start: Array,
-        free: Array,
-        on_iteration: OnIteration | None,
-    ) -> None:
-        self._residual, self._start, self._free = residual, start, free
-        self._on_iteration = on_iteration
-        self._last: tuple[Array, Array] | None = None
-        self.losses: list[float] = []
+    residual: Problem
+    start: Array
+    free: Array
+    on_iteration: OnIteration | None
+    losses: list[float] = field(default_factory=list)
+    _last: tuple[Array, Array] | None = None
 
     def whole(self, part: Array) -> Array:
         """Return all parameters, the given ones included."""
-        whole = self._start.copy()
-        whole[self._free] = part
+        whole = self.start.copy()
+        whole[self.free] = part
         return whole
 
     def value(self, part: Array) -> Array:
         """Return the residual; where it is not finite, a large one in its place."""
-        r, jacobian = self._residual(self.whole(part))
-        r, jacobian = r.ravel(), jacobian.reshape(-1, self._start.size)[:, self._free]
+        r, jacobian = self.residual(self.whole(part))
+        r, jacobian = r.ravel(), jacobian.reshape(-1, self.start.size)[:, self.free]
         if not np.isfinite(r).all():
             return np.full_like(r, 1e6)
         self._last = part.copy(), jacobian
         loss = float(r @ r)
         if not self.losses or loss < self.losses[-1]:
             self.losses.append(loss)
-            if self._on_iteration is not None:
-                self._on_iteration(len(self.losses), loss)
+            if self.on_iteration is not None:
+                self.on_iteration(len(self.losses), loss)
         return r
 
     def jacobian(self, part: Array) -> Array:

@@ -17,19 +17,10 @@ from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.engines.closure_parameters import CLOSURES, sizes
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.training.closure_fit import (
-    first_correction,
-    fit_correction,
-    fit_losses,
-    fit_outlet,
-    fit_wall,
-)
+from pcnde_bridge.training import closure_fit
 from pcnde_bridge.training.history import Recorder
-from pcnde_bridge.training.procedure import Procedure, Step
-from pcnde_bridge.training.state import ClosureState
+from pcnde_bridge.training.procedure import ClosureState, Procedure, Step
 from pcnde_bridge.uncertainty.sampling import calibrate
-
-FORMAT, FORMAT_VERSION = "pcnde-closures-checkpoint", 1
 
 _CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
 _RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
@@ -56,7 +47,7 @@ class ClosureTraining(Procedure[ClosureState]):
         If the closures cannot be trained on the cases.
     """
 
-    checkpoint_format = FORMAT, FORMAT_VERSION
+    checkpoint_format = "pcnde-closures-checkpoint", 1
     config: ClosureConfig
 
     def __init__(self, cases: Cases, config: ClosureConfig, engine: Engine) -> None:
@@ -95,21 +86,22 @@ class ClosureTraining(Procedure[ClosureState]):
         cases, config, closures = self.cases, self.config, self.engine.closures
         name = step.task
         if name == "outlet":
-            return self._add(state, name, fit_outlet(cases, config))
+            return self._add(state, name, closure_fit.fit_outlet(cases, config))
         if name in ("losses", "wall"):
-            fit_closure = fit_losses if name == "losses" else fit_wall
+            fit_closure = getattr(closure_fit, f"fit_{name}")
             optimize = partial(fit_closure, closures, cases, config)
             return self._add(state, name, recorder.run(name, 1, 1, optimize))
         weight = np.ones(len(cases))
         if step.epoch == 1:
-            first = first_correction(cases, config, np.random.default_rng([state.seed, 0]))
+            rng = np.random.default_rng([state.seed, 0])
+            first = closure_fit.first_correction(cases, config, rng)
             evaluations = config.correction.evaluations
         else:
             name = f"member_{step.epoch - 2}"
             first, evaluations = state.vectors["correction"], self._few
             weight[self._left_out[step.epoch - 2]] = 0
         fitted = state.parameters, cases, config, first, weight, evaluations
-        optimize = partial(fit_correction, closures, *fitted)
+        optimize = partial(closure_fit.fit_correction, closures, *fitted)
         return self._add(state, name, recorder.run("correction", step.epoch, 1, optimize))
 
     @staticmethod

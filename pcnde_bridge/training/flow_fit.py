@@ -65,9 +65,8 @@ def balanced_flow(cases: Cases, fitted: Positions, config: PCNDEConfig) -> Array
     flow, area, z = cases.flow, cases.area, cases.z
     cycles = -(-anchor(cases.n_times, config) // cases.n_times)  # until the anchor, rounded up
     volume = trapezoid(area[fitted], z, axis=2)
-    stored = (np.roll(volume, -1, axis=1) - np.roll(volume, 1, axis=1)) * (
-        cases.n_times / (2 * cases.period)
-    )
+    change = np.roll(volume, -1, axis=1) - np.roll(volume, 1, axis=1)
+    stored = change * (cases.n_times / (2 * cases.period))
     gained = flow[fitted, :, -1] - flow[fitted, :, 0]
     gained = gained - gained.mean(axis=1, keepdims=True)
     shared, square = -float(np.sum(stored * gained)), float(np.sum(gained**2))
@@ -236,14 +235,8 @@ class _Equation:
 
     def fit(self, start: Array, iterations: int, on_iteration: OnIteration) -> Fit:
         """Fit by L-BFGS from given parameters."""
-        found = minimize(
-            self._objective,
-            self.whitening.coordinates(start),
-            self.config.full_batch,
-            iterations,
-            self._unit,
-            self._validate,
-            on_iteration,
-            lbfgs=self.engine.lbfgs,
-        )
+        first, limits = self.whitening.coordinates(start), (iterations, self._unit)
+        callbacks, settings = (self._validate, on_iteration), self.config.full_batch
+        lbfgs = self.engine.lbfgs
+        found = minimize(self._objective, first, settings, *limits, *callbacks, lbfgs=lbfgs)
         return replace(found, parameters=self.whitening.parameters(found.parameters))

@@ -26,10 +26,9 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import Positions, training_and_validation
 from pcnde_bridge.engines.parameters import initial_parameters
-from pcnde_bridge.training.algorithm import StageFit
 from pcnde_bridge.training.area_fit import fit_area_stage
 from pcnde_bridge.training.flow_fit import fit_flow
-from pcnde_bridge.training.procedure import Step
+from pcnde_bridge.training.procedure import StageFit, Step
 from pcnde_bridge.training.spatial_pressure_fit import fit_spatial_pressure
 from pcnde_bridge.training.temporal_pressure_fit import fit_temporal_pressure
 

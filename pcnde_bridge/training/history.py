@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -90,10 +91,11 @@ def from_arrays(arrays: Mapping[str, AnyArray]) -> tuple[Iteration, ...]:
     )
 
 
+@dataclass
 class Recorder:
     """Iterations of one training step, passed on as they come.
 
-    Parameters
+    Attributes
     ----------
     began : float
         Time (``time.perf_counter``) at which training began.
@@ -101,23 +103,14 @@ class Recorder:
         Called with every :class:`Iteration`; may raise to stop.
     on_fit_end : callable, optional
         Called with the outcome of every fit.
-
-    Attributes
-    ----------
     iterations : list of Iteration
         All iterations so far.
     """
 
-    def __init__(
-        self,
-        began: float,
-        on_iteration: OnIteration | None = None,
-        on_fit_end: Callable[[str], None] | None = None,
-    ) -> None:
-        self.iterations: list[Iteration] = []
-        self._began = began
-        self._on_iteration = on_iteration
-        self._on_fit_end = on_fit_end
+    began: float
+    on_iteration: OnIteration | None = None
+    on_fit_end: Callable[[str], None] | None = None
+    iterations: list[Iteration] = field(default_factory=list)
 
     def run(self, stage: str, epoch: int, batch: int, fit: Callable[[OnLoss], Fit]) -> Array:
         """Run one fit, record it, and return its parameters.
@@ -132,15 +125,15 @@ class Recorder:
         first = len(self.iterations)
 
         def on_iteration(number: int, loss: float) -> None:
-            seconds = time.perf_counter() - self._began
+            seconds = time.perf_counter() - self.began
             self.iterations.append(Iteration(stage, epoch, batch, number, loss, seconds))
-            if self._on_iteration is not None:
-                self._on_iteration(self.iterations[-1])
+            if self.on_iteration is not None:
+                self.on_iteration(self.iterations[-1])
 
         found = fit(on_iteration)
         outcome = f"{'converged' if found.converged else 'stopped'}: {found.message}"
         if len(self.iterations) > first:
             self.iterations[-1] = self.iterations[-1]._replace(outcome=outcome)
-        if self._on_fit_end is not None:
-            self._on_fit_end(outcome)
+        if self.on_fit_end is not None:
+            self.on_fit_end(outcome)
         return found.parameters

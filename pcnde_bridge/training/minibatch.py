@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.splits import Positions
-from pcnde_bridge.engines.protocol import Stage
-from pcnde_bridge.engines.types import Fit, OnIteration
-from pcnde_bridge.training.algorithm import StageFit
-from pcnde_bridge.training.procedure import Step
+from pcnde_bridge.engines.types import arrays_of
+from pcnde_bridge.training.procedure import StageFit, Step
+
+InputsT = TypeVar("InputsT")
 
 
 def divide(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
@@ -58,35 +56,12 @@ def fit(wanted: StageFit) -> Array:
     for number, batch in batches:
         if stage == "fourier_area" and config.fourier_area.restart:
             vector = np.repeat([1.0, 0.0], wanted.cases.n_points)
-        data = wanted.inputs, wanted.target, batch, wanted.cases.grid, config
-        optimize = partial(fit_batch, getattr(wanted.engine, stage), vector, *data, iterations)
+        data = select(wanted.inputs, batch), wanted.target[batch], wanted.cases.grid, config
+        optimize = partial(getattr(wanted.engine, stage).fit, vector, *data, iterations)
         vector = wanted.recorder.run(stage, step.epoch, number, optimize)
     return vector
 
 
-def fit_batch(
-    stage: Stage[Any],
-    parameters: Array,
-    inputs: Any,
-    target: Array,
-    batch: Positions | slice,
-    grid: Grid,
-    config: PCNDEConfig,
-    iterations: int,
-    on_iteration: OnIteration | None = None,
-) -> Fit:
-    """Fit a stage to one batch of the cases; see :meth:`pcnde_bridge.engines.protocol.Stage.fit`.
-
-    Parameters
-    ----------
-    stage : Stage
-        Stage of an engine.
-    inputs, target
-        Inputs of the stage and reference data, (case, time, z), for all cases.
-    batch : array of int or slice
-        Positions of the cases to fit.
-    parameters, grid, config, iterations, on_iteration
-        Arguments of the stage's ``fit``.
-    """
-    some = type(inputs)(**{f.name: getattr(inputs, f.name)[batch] for f in fields(inputs)})
-    return stage.fit(parameters, some, target[batch], grid, config, iterations, on_iteration)
+def select(inputs: InputsT, batch: Positions | slice) -> InputsT:
+    """Return the inputs of a stage for some of the cases."""
+    return type(inputs)(*(array[batch] for array in arrays_of(inputs)))

@@ -22,12 +22,8 @@ from pcnde_bridge.engines.types import (
     TemporalPressureInputs,
 )
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.training.algorithm import Algorithm, StageFit
 from pcnde_bridge.training.history import Recorder
-from pcnde_bridge.training.procedure import Procedure, Step
-from pcnde_bridge.training.state import TrainingState
-
-FORMAT, FORMAT_VERSION = "pcnde-checkpoint", 1
+from pcnde_bridge.training.procedure import Algorithm, Procedure, StageFit, Step, TrainingState
 
 _FitStage = Callable[[str, Any, Array], Array]  # stage, inputs and target to parameters
 
@@ -48,10 +44,10 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
             f"{config.flow.couple_every}: the area would never be fitted. Couple at least once."
         )
     if config.fourier_area.terms > cases.n_times // 2:
+        terms = config.fourier_area.terms
         raise InputError(
-            f"fourier_area.terms={config.fourier_area.terms} needs at least "
-            f"{2 * config.fourier_area.terms} time points per cycle, the cases have "
-            f"{cases.n_times}."
+            f"fourier_area.terms={terms} needs at least {2 * terms} time points per cycle, the "
+            f"cases have {cases.n_times}."
         )
     start, length = float(cases.z[0]), float(cases.z[-1] - cases.z[0])
     position = config.physics.stenosis_position
@@ -86,7 +82,7 @@ class StagedTraining(Procedure[TrainingState]):
         If the configuration does not fit the cases.
     """
 
-    checkpoint_format = FORMAT, FORMAT_VERSION
+    checkpoint_format = "pcnde-checkpoint", 1
     config: PCNDEConfig
 
     def __init__(
@@ -99,13 +95,10 @@ class StagedTraining(Procedure[TrainingState]):
 
     def start(self, seed: int) -> TrainingState:
         """Return the state with seeded parameters and batches."""
-        return TrainingState(
-            seed=seed,
-            batches=self._algorithm.divide(self.cases, self.config, seed),
-            parameters=initial_parameters(
-                self.config, self.cases.n_times, self.cases.n_points, seed
-            ),
-        )
+        cases, config = self.cases, self.config
+        parameters = initial_parameters(config, cases.n_times, cases.n_points, seed)
+        batches = self._algorithm.divide(cases, config, seed)
+        return TrainingState(seed=seed, batches=batches, parameters=parameters)
 
     def steps(self, state: TrainingState) -> list[Step]:
         """Return all steps of the run: flow, coupling of the area, pressure stages."""
@@ -125,10 +118,8 @@ class StagedTraining(Procedure[TrainingState]):
         """
 
         def fit(stage: str, inputs: Any, target: Array) -> Array:
-            wanted = StageFit(
-                stage, step, state, inputs, target, self.cases, self.config, self.engine, recorder
-            )
-            return self._algorithm.fit(wanted)
+            run = self.cases, self.config, self.engine, recorder
+            return self._algorithm.fit(StageFit(stage, step, state, inputs, target, *run))
 
         parameters, couplings = state.parameters, state.couplings
         if step.task == "flow":
@@ -158,15 +149,13 @@ class StagedTraining(Procedure[TrainingState]):
         cases, grid, config = self.cases, self.cases.grid, self.config
         target = cases.pressure / config.physics.reference_pressure
         s_u = cases.area_undeformed
-        solved = predict_by_stages(
-            self.engine, parameters.without_pressure(), cases.inflow, s_u, grid, config
-        )
+        known = parameters.without_pressure()
+        solved = predict_by_stages(self.engine, known, cases.inflow, s_u, grid, config)
         inputs = TemporalPressureInputs(solved.flow, solved.area, s_u)
         if stage == "temporal_pressure":
             return parameters.replace(temporal_pressure=fit(stage, inputs, target))
-        temporal = self.engine.temporal_pressure.solve(
-            parameters.temporal_pressure, inputs, grid, config
-        )
+        network = self.engine.temporal_pressure
+        temporal = network.solve(parameters.temporal_pressure, inputs, grid, config)
         spatial_inputs = SpatialPressureInputs(temporal, solved.flow, s_u)
         return parameters.replace(spatial_pressure=fit(stage, spatial_inputs, target))
 
@@ -190,18 +179,11 @@ class StagedTraining(Procedure[TrainingState]):
 
     def to_archive(self, state: TrainingState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         """Return facts and arrays of a checkpoint."""
-        facts = {
-            "finished": state.finished,
-            "couplings": len(state.couplings),
-            "batch_sizes": [len(batch) for batch in state.batches],
-        }
-        arrays: dict[str, AnyArray] = {
-            "batches": np.concatenate(state.batches),
-            **dict(state.parameters),
-        }
+        facts = {"finished": state.finished, "couplings": len(state.couplings)}
+        arrays = {"batches": np.concatenate(state.batches), **dict(state.parameters)}
         for number, coupling in enumerate(state.couplings):
             arrays |= {f"coupling_{number}_{stage}": vector for stage, vector in coupling}
-        return facts, arrays
+        return {**facts, "batch_sizes": [len(batch) for batch in state.batches]}, arrays
 
     def from_archive(
         self, facts: Mapping[str, Any], arrays: Mapping[str, AnyArray]

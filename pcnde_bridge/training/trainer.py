@@ -21,13 +21,11 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.training import full_batch, minibatch
 from pcnde_bridge.training import history as histories
-from pcnde_bridge.training.algorithm import Algorithm
 from pcnde_bridge.training.checkpoint import Checkpoint
 from pcnde_bridge.training.history import Iteration, OnIteration, Recorder
-from pcnde_bridge.training.procedure import Procedure
+from pcnde_bridge.training.procedure import Algorithm, Procedure, State
 from pcnde_bridge.training.progress import TrainingProgress
 from pcnde_bridge.training.staged_training import StagedTraining
-from pcnde_bridge.training.state import State
 
 _ALGORITHMS: dict[str, Algorithm] = {"minibatch": minibatch, "full_batch": full_batch}
 

@@ -41,7 +41,7 @@ def test_results(predicted, small_cases):
     assert "40 % blockage, geometry 1, waveform 2" in area[0].get_title("right")
     assert drawn(pressure[0], OTHER).size == 0
     for bad, words in (
-        ({"area_case": 12}, "area_case is 12"),
+        ({"area_case": 12}, "area_case 12"),
         ({"position": 1.2}, "position must be"),
         ({"time_point": -0.1}, "time_point must be"),
         ({"other": {"flow": small_cases.flow[1:]}}, "must have the 12 cases"),

@@ -64,9 +64,9 @@ def test_pointwise_errors_are_of_one_case(small_cases, predicted):
 
 
 def test_shapes_must_equal_those_of_the_truth(small_cases, predicted, hardest):
-    with pytest.raises(InputError, match=r"shape \(1, 20, 21\), not \(12, 20, 21\)"):
+    with pytest.raises(InputError, match=r"\(12, 20, 21\), but its shape is \(1, 20, 21\)"):
         box_statistics({"mine": {"flow": predicted["flow"][:1]}}, small_cases)
-    with pytest.raises(InputError, match=r"shape \(1, 1, 21\), not \(1, 20, 21\)"):
+    with pytest.raises(InputError, match=r"\(1, 20, 21\), but its shape is \(1, 1, 21\)"):
         pointwise_errors({"flow": predicted["flow"][:1, :1]}, hardest)
 
 

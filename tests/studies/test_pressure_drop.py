@@ -44,5 +44,5 @@ def test_pressure_drops_by_hand(small_cases, predicted):
 
 
 def test_pressure_drops_need_the_cases_pressure(small_cases, predicted):
-    with pytest.raises(InputError, match=r"shape \(11, 20, 21\)"):
+    with pytest.raises(InputError, match=r"shape is \(11, 20, 21\)"):
         pressure_drops(predicted["pressure"][1:], small_cases)
