@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import permutations
 from numbers import Real
 from typing import Any, TypeVar
@@ -51,6 +51,28 @@ def positive(name: str, value: Any, unit: str = "") -> float:
         If it is not a real number, not finite, or not positive.
     """
     return _real(name, value, unit, "positive and finite", 0.0)
+
+
+def check_fields(instance: object, check: Callable[..., Any], **arguments: Any) -> None:
+    """Check fields of a frozen dataclass, and replace them by the usable values.
+
+    Parameters
+    ----------
+    instance : object
+        The dataclass; messages have its name before the field's.
+    check : callable
+        Takes name, value and argument, such as :func:`finite`, and returns the usable value.
+    **arguments
+        For each field to check the third argument, such as its unit.
+
+    Raises
+    ------
+    InputError
+        If a value is not usable.
+    """
+    for field, argument in arguments.items():
+        value = check(f"{type(instance).__name__}.{field}", getattr(instance, field), argument)
+        object.__setattr__(instance, field, value)
 
 
 def _real(name: str, value: Any, unit: str, rule: str, above: float) -> float:

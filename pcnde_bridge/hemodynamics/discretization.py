@@ -117,10 +117,8 @@ def discretize_vessels(
         raise InputError("There is no vessel to solve; give at least one.")
     for i, vessel in enumerate(vessels):
         if vessel.length != vessels[0].length:
-            raise InputError(
-                f"Vessel {i} is {vessel.length:g} cm long, vessel 0 {vessels[0].length:g} cm; "
-                "solve different lengths in different batches."
-            )
+            lengths = f"{vessel.length:g} cm long, vessel 0 {vessels[0].length:g} cm"
+            raise InputError(f"Vessel {i} is {lengths}; solve one length in a batch.")
     z = vessels[0].grid(n_points)
     if labels is None:
         labels = _default_labels(vessels, waveforms)
@@ -131,9 +129,7 @@ def discretize_vessels(
     return discretize(tube, z, area, waveforms, outlet, stenoses, initial_pressure, labels)
 
 
-def _default_labels(
-    vessels: Sequence[Vessel], waveforms: Sequence[Waveform]
-) -> dict[str, list[int]]:
+def _default_labels(vessels: Sequence[Vessel], waveforms: Sequence[Waveform]) -> dict[str, Any]:
     """Assign numbers to the different vessels and the different waveforms.
 
     A vessel that is repeated with the same waveform, at another outlet, is another
@@ -172,9 +168,8 @@ def discretize(
     area = finite_array("area_undeformed", area_undeformed)
     n_cases = len(area) if area.ndim else 0
     if not n_cases or area.shape != (n_cases, len(points)):
-        raise InputError(
-            f"area_undeformed must have the shape (n_cases, {len(points)}), got {area.shape}."
-        )
+        shape = f"(n_cases, {len(points)})"
+        raise InputError(f"area_undeformed must have the shape {shape}, got {area.shape}.")
     check_values("area_undeformed", area, area <= 0.0, "areas must be positive (cm²)")
     waveforms = all_of(Waveform, "waveforms", waveforms)
     if len(waveforms) != n_cases:
@@ -192,39 +187,27 @@ def discretize(
         _check_speed(tube, points, area[i], waveform, case_name(i, table))
     narrowings = _check_stenoses(stenoses, n_cases)
     if not isinstance(outlet, Windkessel):
-        raise InputError(
-            f"outlet must be a Windkessel, got {outlet!r}; Windkessel(R) is a resistance."
-        )
+        raise InputError(f"outlet must be a Windkessel, such as Windkessel(R), got {outlet!r}.")
     elements = outlet.elements(n_cases)
     pressure = _check_initial_pressure(tube, area, initial_pressure)
     period = waveforms[0].period
-    numbers = Tube(
-        0.5 * (area[:, :-1] + area[:, 1:]),
-        area[:, -1],
-        *_losses(tube, points, area, narrowings, table),
-        elements,
-        tube.density,
-        tube.kinematic_viscosity,
-        1.0 + tube.delta,
-        dz=float(points[-1] - points[0]) / (len(points) - 1),
-        dt=period / tube.steps,
-    )
+    vessels = 0.5 * (area[:, :-1] + area[:, 1:]), area[:, -1]
+    losses = _losses(tube, points, area, narrowings, table)
+    blood = tube.density, tube.kinematic_viscosity, 1.0 + tube.delta
+    steps = float(points[-1] - points[0]) / (len(points) - 1), period / tube.steps
+    numbers = Tube(*vessels, *losses, elements, *blood, *steps)
     return Problem(points, area, _stage_inflow(tube, waveforms), numbers, pressure, period, table)
 
 
 def _check_points(z: npt.ArrayLike) -> Array:
     points = finite_array("z", z)
     if points.ndim != 1 or len(points) < 4:
-        raise InputError(
-            f"The grid is too coarse: z has shape {points.shape}, at least 4 points are needed."
-        )
+        raise InputError(f"The grid is too coarse: z must have 4 points, got {points.shape}.")
     steps = np.diff(points)
     mean = (points[-1] - points[0]) / len(steps)
     for k in np.flatnonzero(~(np.abs(steps - mean) <= 1e-6 * abs(mean)) | (steps <= 0.0))[:1]:
-        raise InputError(
-            f"z must increase in equal steps (cm), but z[{k + 1}] − z[{k}] = {steps[k]:g} "
-            f"with a mean step of {mean:g}."
-        )
+        step = f"z[{k + 1}] − z[{k}] = {steps[k]:g}"
+        raise InputError(f"z must have equal steps (cm), but {step}; their mean is {mean:g}.")
     return points
 
 
@@ -232,10 +215,8 @@ def _check_labels(z: Array, area_undeformed: Array, labels: Labels) -> pd.DataFr
     """Check the labels as the data set of the result will, before anything is computed."""
     for name in SOLVER_LABELS:
         if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
-            raise InputError(
-                f"labels has a column {name!r}, which is the name of a column that the solver "
-                "adds; remove it or give it another name."
-            )
+            what = "which is the name of a column that the solver adds"
+            raise InputError(f"labels has a column {name!r}, {what}; rename it.")
     area = np.repeat(area_undeformed[:, None], 4, axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitsWarning)
@@ -345,9 +326,8 @@ def _losses(
             spread = _spread(left, right, stenosis)
             drop = viscous_drop(1.0, healthy, throat, length, tube.viscosity)
             viscous[i] += spread * drop * tube.friction_ratio
-            turbulent[i] += spread * turbulent_drop(
-                1.0, healthy, throat, tube.density, tube.turbulent_coefficient
-            )
+            blood = tube.density, tube.turbulent_coefficient
+            turbulent[i] += spread * turbulent_drop(1.0, healthy, throat, *blood)
     return viscous, turbulent
 
 

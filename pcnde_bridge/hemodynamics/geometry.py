@@ -19,7 +19,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import all_of, finite, positive, real_array, whole
+from pcnde_bridge._utils.validation import (
+    all_of,
+    check_fields,
+    check_values,
+    finite,
+    positive,
+    real_array,
+    whole,
+)
 from pcnde_bridge.errors import InputError
 
 
@@ -47,9 +55,8 @@ class Stenosis:
     length: float = 0.5
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "blockage", finite("Stenosis.blockage", self.blockage))
-        object.__setattr__(self, "position", finite("Stenosis.position", self.position, "cm"))
-        object.__setattr__(self, "length", positive("Stenosis.length", self.length, "cm"))
+        check_fields(self, finite, blockage="", position="cm")
+        check_fields(self, positive, length="cm")
         if not 0.0 <= self.blockage < 1.0:
             raise InputError(
                 f"Stenosis.blockage is a fraction of area in [0, 1), got {self.blockage!r}; "
@@ -97,9 +104,7 @@ class Vessel:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stenoses", all_of(Stenosis, "Vessel.stenoses", self.stenoses))
-        for name in ("length", "diameter"):
-            value = positive(f"Vessel.{name}", getattr(self, name), "cm")
-            object.__setattr__(self, name, value)
+        check_fields(self, positive, length="cm", diameter="cm")
         for i, stenosis in enumerate(self.stenoses):
             if stenosis.start < 0.0 or stenosis.end > self.length:
                 raise InputError(
@@ -144,11 +149,7 @@ class Vessel:
         z = real_array("z", z)
         tolerance = 1e-9 * self.length
         outside = ~((z >= -tolerance) & (z <= self.length + tolerance))
-        if outside.any():
-            index = tuple(int(i) for i in np.argwhere(outside)[0])
-            raise InputError(
-                f"z{list(index)} = {z[index]:g} cm is outside the tube of {self.length:g} cm."
-            )
+        check_values("z", z, outside, f"points must lie in the tube of {self.length:g} cm")
         healthy = self.diameter / 2
         radius = np.full(z.shape, healthy)
         for stenosis in self.stenoses:

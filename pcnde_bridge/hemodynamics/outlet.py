@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,18 +67,15 @@ class Windkessel:
             array has neither one value nor one for each case.
         """
         proximal, distal, capacitance, pressure = (
-            self._for_cases(name, n_cases)
-            for name in ("resistance", "distal_resistance", "capacitance", "distal_pressure")
+            self._for_cases(field.name, n_cases) for field in fields(self)
         )
         return OutletElements(proximal, distal, distal * capacitance, pressure)
 
     def _for_cases(self, name: str, n_cases: int) -> Array:
         value = finite_array(f"outlet.{name}", getattr(self, name))
         if value.ndim > 1 or value.size not in (1, n_cases):
-            raise InputError(
-                f"outlet.{name} must be one number or one for each of {n_cases} cases, "
-                f"got shape {value.shape}."
-            )
+            wanted = f"one number or one for each of {n_cases} cases"
+            raise InputError(f"outlet.{name} must be {wanted}, got shape {value.shape}.")
         if name != "distal_pressure" and (value < 0.0).any():
             raise InputError(f"outlet.{name} must not be negative, got {value.min():g}.")
         return np.broadcast_to(value, (n_cases,))

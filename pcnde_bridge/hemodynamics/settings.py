@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
-from pcnde_bridge._utils.validation import finite, positive, whole
+from pcnde_bridge._utils.validation import check_fields, finite, positive, whole
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.tube_laws import LinearWall, Wall
 
@@ -38,23 +38,15 @@ class TubeSettings:
     def __post_init__(self) -> None:
         if not isinstance(self.wall, Wall):
             raise InputError(f"Tube1D.wall must be a wall law, got {self.wall!r}.")
-        if self.stenosis_loss not in ("none", "paper", "effective_length"):
-            raise InputError(
-                "Tube1D.stenosis_loss must be 'none', 'paper' or 'effective_length', "
-                f"got {self.stenosis_loss!r}."
-            )
-        for name, unit in (("density", "g/cm³"), ("viscosity", "poise"), ("profile_exponent", "")):
-            value = positive(f"Tube1D.{name}", getattr(self, name), unit)
-            object.__setattr__(self, name, value)
-        coefficient = finite("Tube1D.turbulent_coefficient", self.turbulent_coefficient)
-        object.__setattr__(self, "turbulent_coefficient", coefficient)
-        if coefficient < 0.0:
-            raise InputError(
-                f"Tube1D.turbulent_coefficient must not be negative, got {coefficient!r}."
-            )
-        for name, least in (("n_times", 4), ("steps", 1), ("cycles", 1)):
-            number = whole(f"Tube1D.{name}", getattr(self, name), least)
-            object.__setattr__(self, name, number)
+        if self.stenosis_loss not in get_args(StenosisLoss):
+            known = ", ".join(map(repr, get_args(StenosisLoss)))
+            raise InputError(f"stenosis_loss must be one of {known}, got {self.stenosis_loss!r}.")
+        check_fields(self, positive, density="g/cm³", viscosity="poise", profile_exponent="")
+        check_fields(self, finite, turbulent_coefficient="")
+        if self.turbulent_coefficient < 0.0:
+            value = self.turbulent_coefficient
+            raise InputError(f"turbulent_coefficient must not be negative, got {value!r}.")
+        check_fields(self, whole, n_times=4, steps=1, cycles=1)
         if self.steps % self.n_times:
             raise InputError(
                 f"Tube1D.steps = {self.steps} is not a multiple of n_times = {self.n_times}, "

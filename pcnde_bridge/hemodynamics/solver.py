@@ -140,9 +140,8 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges.
         """
-        return self._run(
-            discretize_vessels(self, vessels, waveforms, outlet, n_points, initial_pressure, labels)
-        )
+        given = vessels, waveforms, outlet, n_points, initial_pressure, labels
+        return self._run(discretize_vessels(self, *given))
 
     def solve(
         self,
@@ -198,11 +197,8 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges; names the case, the time and the place.
         """
-        return self._run(
-            discretize(
-                self, z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
-            )
-        )
+        given = z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
+        return self._run(discretize(self, *given))
 
     def _run(self, problem: Problem) -> Cases:
         with double_precision():
@@ -279,8 +275,7 @@ class Tube1D(TubeSettings):
             )
         if abs(float(cases.time[0])) > 1e-9 * cases.period:
             raise InputError(
-                f"The time of the data starts at {cases.time[0]:g} s; it must start at 0 s: "
-                "subtract the first value."
+                f"The data start at {cases.time[0]:g} s; subtract the first time point."
             )
         return self.solve(
             cases.z,
@@ -324,11 +319,8 @@ def _report(periodicity: Array, volume_balance: Array) -> None:
         _log.debug("Case %d: periodicity %.1e, volume balance %.1e.", i, change, balance)
     late = np.flatnonzero(periodicity > _NOT_PERIODIC)
     if len(late):
-        _log.warning(
+        words = (
             "%d of %d cases are not periodic yet, case %d is %.1e away; use more cycles, or an "
-            "initial_pressure nearer the mean.",
-            len(late),
-            len(periodicity),
-            int(late[0]),
-            float(periodicity[late[0]]),
+            "initial_pressure nearer the mean."
         )
+        _log.warning(words, len(late), len(periodicity), late[0], periodicity[late[0]])

@@ -18,21 +18,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from pcnde_bridge._utils.validation import finite, positive
+from pcnde_bridge._utils.validation import check_fields, finite, positive
 from pcnde_bridge.errors import InputError
 
 PAPER_REFERENCE_PRESSURE = 133_322.0
 """100 mmHg in dyn/cm²."""
-
-_UNITS = {
-    "young_modulus": "dyn/cm²",
-    "thickness": "cm",
-    "radius": "cm",
-    "k1": "g/(s²·cm)",
-    "k2": "1/cm",
-    "k3": "g/(s²·cm)",
-    "reference_pressure": "dyn/cm²",
-}
 
 
 def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
@@ -71,7 +61,8 @@ class LinearWall:
     reference_pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, above_zero=("young_modulus", "thickness", "radius"))
+        check_fields(self, positive, young_modulus="dyn/cm²", thickness="cm", radius="cm")
+        check_fields(self, finite, reference_pressure="dyn/cm²")
 
     @property
     def stiffness(self) -> float:
@@ -124,13 +115,12 @@ class OlufsenWall:
     reference_pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(self, above_zero=("k3",))
+        check_fields(self, positive, k3="g/(s²·cm)")
+        check_fields(self, finite, k1="g/(s²·cm)", k2="1/cm", reference_pressure="dyn/cm²")
         if self.k1 < 0.0:
             raise InputError(f"OlufsenWall.k1 must not be negative, got {self.k1!r}.")
         if self.k2 > 0.0:
-            raise InputError(
-                f"OlufsenWall.k2 must not be positive, got {self.k2!r}: a wider vessel is softer."
-            )
+            raise InputError(f"OlufsenWall.k2 must not be positive, got {self.k2!r}.")
 
     def stiffness(self, area_undeformed: Any) -> Any:
         """Return 4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
@@ -166,10 +156,3 @@ Wall = LinearWall | OlufsenWall
 def _signed_square(root: Any) -> Any:
     """Square with the sign of its argument: pressures beyond a law's end give S < 0."""
     return root * abs(root)
-
-
-def _check(wall: Wall, above_zero: tuple[str, ...]) -> None:
-    for name, value in list(vars(wall).items()):
-        check = positive if name in above_zero else finite
-        number = check(f"{type(wall).__name__}.{name}", value, _UNITS[name])
-        object.__setattr__(wall, name, number)

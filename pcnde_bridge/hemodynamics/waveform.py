@@ -20,7 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import finite, finite_array, positive, whole
+from pcnde_bridge._utils.validation import (
+    check_fields,
+    check_increasing,
+    finite,
+    finite_array,
+    positive,
+    whole,
+)
 from pcnde_bridge.errors import InputError
 
 Form = Literal["oscillation", "printed"]
@@ -74,15 +81,15 @@ class Waveform:
     period: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mean", finite("Waveform.mean", self.mean, "mL/s"))
-        object.__setattr__(self, "period", positive("Waveform.period", self.period, "s"))
+        check_fields(self, finite, mean="mL/s")
+        check_fields(self, positive, period="s")
         for name in ("cosine", "sine"):
             values = _finite_vector(f"Waveform.{name}", getattr(self, name))
             object.__setattr__(self, name, tuple(values.tolist()))
-        if len(self.cosine) != len(self.sine):
+        n_cosine, n_sine = len(self.cosine), len(self.sine)
+        if n_cosine != n_sine:
             raise InputError(
-                f"Waveform.cosine has {len(self.cosine)} terms and sine {len(self.sine)}; "
-                "give both the same number."
+                f"cosine has {n_cosine} terms and sine {n_sine}; give as many of both."
             )
 
     @property
@@ -221,16 +228,10 @@ def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, A
         raise InputError(f"time has {len(time)} values and flow {len(flow)}; give as many of both.")
     if len(time) < 3:
         raise InputError(f"A waveform needs at least 3 samples, got {len(time)}.")
-    steps = np.diff(time)
-    if (steps <= 0.0).any():
-        i = int(np.argmax(steps <= 0.0)) + 1
-        raise InputError(f"time[{i}] = {time[i]:g} s is not later than the time point before it.")
+    check_increasing("time", time, "s")
     span = time[-1] - time[0]
     if span > period * (1.0 + 1e-9):
-        raise InputError(
-            f"The samples span {span:g} s, longer than the period of {period:g} s; "
-            "give one cycle, or the correct period."
-        )
+        raise InputError(f"The samples span {span:g} s, longer than the period, {period:g} s.")
     if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
         time, flow = time[:-1], flow[:-1]
     first = float(time[0])

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import ClosureConfig, OutletClosure
+from pcnde_bridge.config import ClosureConfig
+from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.engines.equations import harmonic_frequencies, outlet_impedance, rate
