@@ -19,7 +19,7 @@ from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions, split_positions
-from pcnde_bridge.data.variables import UNITS
+from pcnde_bridge.data.variables import UNITS, VARIABLES
 from pcnde_bridge.errors import FileError
 
 _LABELS = "labels/"  # prefix of the labels' names among the arrays
@@ -157,12 +157,11 @@ class Cases:
         return self.n_cases
 
     def __repr__(self) -> str:
-        geometries = self._labels["geometry"].nunique()
-        waveforms = self._labels["waveform"].nunique()
+        names = "geometry", "waveform"
+        kinds = ", ".join(counted(self._labels[name].nunique(), name) for name in names)
         return (
-            f"Cases({counted(self.n_cases, 'case')}: {counted(geometries, 'geometry')}, "
-            f"{counted(waveforms, 'waveform')}; {self.n_times} time points over {self.period:g} s; "
-            f"{self.n_points} points, z from {self.z[0]:g} to {self.z[-1]:g} cm)"
+            f"Cases({counted(self.n_cases, 'case')}: {kinds}; {self.n_times} time points over "
+            f"{self.period:g} s; {self.n_points} points, z from {self.z[0]:g} to {self.z[-1]:g} cm)"
         )
 
     def __eq__(self, other: object) -> bool:
@@ -214,14 +213,9 @@ class Cases:
             name: np.repeat(self._labels[name].to_numpy(), shape[1] * shape[2])
             for name in self._labels.columns
         }
-        spread = {
-            "time": self.time[:, None],
-            "z": self.z,
-            "flow": self.flow,
-            "area": self.area,
-            "pressure": self.pressure,
-            "area_undeformed": self.area_undeformed[:, None, :],
-        }
+        spread = {"time": self.time[:, None], "z": self.z}
+        spread |= {name: getattr(self, name) for name in VARIABLES}
+        spread["area_undeformed"] = self.area_undeformed[:, None, :]
         for name, values in spread.items():
             columns[name] = np.broadcast_to(values, shape).ravel()
         return pd.DataFrame(columns)

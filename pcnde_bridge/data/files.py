@@ -30,11 +30,8 @@ def write_cases(path: StrPath, contents: Mapping[str, AnyArray], fingerprint: st
         If the ending of the name is unknown or the file cannot be written.
     """
     suffix = _suffix(path)
-    header: dict[str, str | int] = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "fingerprint": fingerprint,
-    }
+    header: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION}
+    header["fingerprint"] = fingerprint
     with atomic_write(path) as temporary:
         if suffix == ".npz":
             with temporary.open("wb") as handle:
@@ -67,9 +64,7 @@ def read_cases(path: StrPath) -> dict[str, AnyArray]:
 def _check_header(path: Path, header: Mapping[str, Any]) -> None:
     """Refuse files of other programs and of newer versions of this one."""
     if str(header.get("format")) != FORMAT or "format_version" not in header:
-        raise FileError(
-            f"{path} is not a data set saved by this package; load files that Cases.save wrote"
-        )
+        raise FileError(f"{path} is not a data set that Cases.save wrote")
     version = int(header["format_version"])
     if version > FORMAT_VERSION:
         raise FileError(
@@ -81,10 +76,7 @@ def _check_header(path: Path, header: Mapping[str, Any]) -> None:
 def _suffix(path: StrPath) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in _SUFFIXES:
-        raise FileError(
-            f"the name {str(path)!r} must end in one of {', '.join(_SUFFIXES)}, to indicate the "
-            "format"
-        )
+        raise FileError(f"the name {str(path)!r} must end in one of {', '.join(_SUFFIXES)}")
     return suffix
 
 

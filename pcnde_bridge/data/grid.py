@@ -50,9 +50,8 @@ def check_resolution(n_times: int, n_points: int) -> None:
         If there are fewer than 16 time points or 5 points.
     """
     if n_times < _FEWEST_TIMES:
-        raise InputError(
-            f"inflow has {n_times} time points per cycle; at least {_FEWEST_TIMES} are needed."
-        )
+        found = f"{n_times} time points per cycle"
+        raise InputError(f"inflow has {found}; at least {_FEWEST_TIMES} are needed.")
     if n_points < _FEWEST_POINTS:
         raise InputError(f"z has {n_points} points; at least {_FEWEST_POINTS} are needed.")
 
@@ -74,23 +73,19 @@ def check_grid(trained: Grid, other: Grid, where: str = "model.grid") -> None:
     InputError
         If the grids differ; the message names the first difference.
     """
+    remedy = "bring the cases to the model's grid"
     for name, mine, theirs in (
         ("time", trained.time - trained.time[0], other.time - other.time[0]),
         ("z", trained.z, other.z),
     ):
         if mine.shape != theirs.shape:
-            raise InputError(
-                f"The cases have {theirs.size} values of {name}, but the model was trained on "
-                f"{mine.size}: bring the cases to the model's grid ({where}.{name})."
-            )
+            sizes = f"{theirs.size} values of {name}, but the model was trained on {mine.size}"
+            raise InputError(f"The cases have {sizes}: {remedy} ({where}.{name}).")
         difference = np.abs(mine - theirs)
         if difference.max() > _TOLERANCE * (1 + np.abs(mine).max()):
-            index = int(difference.argmax())
-            raise InputError(
-                f"{name}[{index}] is {theirs[index]:g} in the cases but {mine[index]:g} in the "
-                f"model: bring the cases to the model's grid ({where}.{name})."
-            )
+            i = int(difference.argmax())
+            values = f"{theirs[i]:g} in the cases but {mine[i]:g} in the model"
+            raise InputError(f"{name}[{i}] is {values}: {remedy} ({where}.{name}).")
     if not math.isclose(trained.period, other.period, rel_tol=1e-6):
-        raise InputError(
-            f"The cases' period is {other.period:g} s, the model's {trained.period:g} s."
-        )
+        periods = f"{other.period:g} s, the model's {trained.period:g} s"
+        raise InputError(f"The cases' period is {periods}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +15,7 @@ from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
 
 _RESERVED = frozenset((*UNITS, "novelty"))  # columns of a prediction's table
+_SURROGATE = re.compile("[\ud800-\udfff]")  # half of a pair, which is no text
 
 
 def check_labels(
@@ -63,21 +65,15 @@ def _check_table(given: pd.DataFrame, n_cases: int) -> None:
         raise InputError(f"labels lacks the column {absent[0]!r}; add it, as whole numbers")
     for name in given.columns:
         if not (isinstance(name, str) and name.isidentifier()):
-            raise InputError(
-                f"labels has a column named {name!r}; use Python names, such as 'patient_1'"
-            )
+            raise InputError(f"labels has a column named {name!r}; use Python names")
         if name in _RESERVED:
-            raise InputError(
-                f"labels has a column named {name!r}, which is the name of a column of "
-                "predictions; give it another name"
-            )
+            what = "which is the name of a column of predictions"
+            raise InputError(f"labels has a column named {name!r}, {what}; rename it")
     if not given.columns.is_unique:
         raise InputError(f"labels has two columns named {given.columns[_second(given.columns)]!r}")
     if len(given) != n_cases:
-        raise InputError(
-            f"labels has {counted(len(given), 'row')} but there are {counted(n_cases, 'case')}; "
-            "give one row per case"
-        )
+        rows, cases = counted(len(given), "row"), counted(n_cases, "case")
+        raise InputError(f"labels has {rows} but there are {cases}")
 
 
 def _second(index: pd.Index[Any]) -> int:
@@ -124,17 +120,7 @@ def _label_values(name: str, column: pd.Series[Any]) -> AnyArray | list[str]:
         return np.where(np.isnan(values), np.nan, values).astype(np.float64)
     for row, value in enumerate(values):
         # A file can store neither a NUL character nor half a surrogate pair.
-        if not isinstance(value, str) or "\0" in value or not _encodable(value):
-            raise InputError(
-                f"labels[{name!r}][{row}] is {value!r}; a column of labels must hold numbers "
-                "throughout or plain text throughout"
-            )
+        if not isinstance(value, str) or "\0" in value or _SURROGATE.search(value):
+            what = "a column of labels must hold numbers throughout or plain text throughout"
+            raise InputError(f"labels[{name!r}][{row}] is {value!r}; {what}")
     return [str(value) for value in values]
-
-
-def _encodable(text: str) -> bool:
-    try:
-        text.encode("utf-8")
-    except UnicodeEncodeError:
-        return False
-    return True

@@ -47,10 +47,8 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
         no case matches.
     """
     if (index is None) == (not wanted):
-        raise InputError(
-            "select needs either positions, a mask or pairs, or label values such as "
-            "geometry=10; " + ("both were given" if wanted else "neither was given")
-        )
+        given = "both were given" if wanted else "neither was given"
+        raise InputError(f"select needs positions or label values such as geometry=10; {given}")
     positions = _with_labels(labels, wanted) if wanted else _from_index(labels, index)
     if len(positions) == 0:
         raise InputError("the selection is empty: no case matches")
@@ -70,20 +68,16 @@ def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
         except (TypeError, ValueError) as error:
             raise InputError(f"the slice {index!r} is not usable: {error}") from error
     if isinstance(index, tuple) and all(np.ndim(i) == 0 for i in index):
-        raise InputError(
-            f"select({index!r}) is ambiguous: write [{index!r}] for a (geometry, waveform) pair, "
-            f"or {list(index)!r} for positions"
-        )
+        what = f"[{index!r}] for a (geometry, waveform) pair, or {list(index)!r} for positions"
+        raise InputError(f"select({index!r}) is ambiguous: write {what}")
     try:
         asked = np.asarray(index)
     except ValueError:  # rows of unequal length
         asked = np.asarray(None)
     if asked.dtype == bool and asked.ndim == 1:
         if len(asked) != count:
-            raise InputError(
-                f"the mask has {counted(len(asked), 'value')} but there are "
-                f"{counted(count, 'case')}; give one value per case"
-            )
+            values, cases = counted(len(asked), "value"), counted(count, "case")
+            raise InputError(f"the mask has {values} but there are {cases}")
         return np.flatnonzero(asked)
     if asked.ndim == 2:
         return _of_pairs(labels, _checked_pairs(asked.tolist(), "select"), "select")
@@ -95,10 +89,8 @@ def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
     asked = np.atleast_1d(asked)
     outside = (asked < -count) | (asked >= count)
     if outside.any():
-        raise InputError(
-            f"there is no case {asked[outside][0]}: positions run from 0 to {count - 1}, "
-            f"or from -{count} to -1"
-        )
+        known = f"0 to {count - 1}, or from -{count} to -1"
+        raise InputError(f"there is no case {asked[outside][0]}: positions run from {known}")
     asked = asked.astype(np.intp)  # before sums that a smaller type cannot represent
     return np.where(asked < 0, asked + count, asked)
 
@@ -108,19 +100,15 @@ def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
     mask = np.ones(len(labels), dtype=bool)
     for column, value in wanted.items():
         if column not in labels:
-            raise InputError(
-                f"there is no label {column!r}; the labels are "
-                + ", ".join(map(repr, labels.columns))
-            )
+            known = ", ".join(map(repr, labels.columns))
+            raise InputError(f"there is no label {column!r}; the labels are {known}")
         present = labels[column].to_numpy()
         values = [value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
         hits = [_matches(present, each) for each in values]
         absent = [each for each, hit in zip(values, hits, strict=True) if not hit.any()]
         if absent:
-            raise InputError(
-                f"no case has {column} = {listed(absent)}; the available values are: "
-                f"{listed(pd.unique(labels[column]).tolist())}"
-            )
+            known = listed(pd.unique(labels[column]).tolist())
+            raise InputError(f"no case has {column} = {listed(absent)}; the values are: {known}")
         mask &= np.any(hits, axis=0)
     return np.flatnonzero(mask)
 
@@ -140,7 +128,7 @@ def _of_pairs(labels: pd.DataFrame, pairs: Sequence[tuple[int, int]], where: str
     if absent:
         raise InputError(
             f"{where} asks for cases that are not in this data set: (geometry, waveform) = "
-            f"{listed(absent)}; see cases.labels for the available pairs"
+            f"{listed(absent)}; see cases.labels"
         )
     return np.array([known[pair] for pair in pairs], dtype=np.intp)
 
@@ -156,9 +144,8 @@ def _checked_pairs(value: Any, where: str) -> Pairs:
             and len(pair) == 2
             and all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in pair)
         ):
-            raise InputError(
-                f"{where}, entry {i}, is {pair!r}; write [geometry, waveform], two whole numbers"
-            )
+            what = "[geometry, waveform], two whole numbers"
+            raise InputError(f"{where}, entry {i}, is {pair!r}; write {what}")
         key = (int(pair[0]), int(pair[1]))
         if key in pairs:
             raise InputError(f"{where} names {key} twice, the second time as entry {i}")
@@ -193,9 +180,8 @@ def split_positions(labels: pd.DataFrame, how: Any) -> dict[str, Positions]:
     try:
         mapping = json.loads(Path(how).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise DataNotFoundError(
-            f"there is no split file {name}; give 'paper', a mapping or the path of a JSON file"
-        ) from error
+        what = "'paper', a mapping or the path of a JSON file"
+        raise DataNotFoundError(f"there is no split file {name}; give {what}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise FileError(f"{name} is not a readable JSON file: {error}") from error
     if not isinstance(mapping, dict):
@@ -208,12 +194,11 @@ def _paper_split(labels: pd.DataFrame) -> dict[str, Positions]:
     order = np.lexsort((waveform, geometry))
     test = ((geometry == geometry.max()) | (waveform == waveform.max()))[order]
     if test.all():
+        geometries = counted(len(set(geometry)), "geometry")
         raise InputError(
-            "the paper's split tests on the largest geometry and the largest waveform; this "
-            f"data set has {counted(len(set(geometry)), 'geometry')} and "
-            f"{counted(len(set(waveform)), 'waveform')}, so no case is left for training; "
-            "name the cases with a mapping (a file of it), or use all without a split "
-            "(--split none)"
+            "the paper's split tests on the largest geometry and waveform; this data set has "
+            f"{geometries} and {counted(len(set(waveform)), 'waveform')}, so no case is left for "
+            "training; name the cases with a mapping or a file, or do not split (--split none)"
         )
     return {"train": order[~test], "test": order[test]}
 
@@ -223,9 +208,8 @@ def _named_split(
 ) -> dict[str, Positions]:
     unknown = [key for key in mapping if key not in ("train", "test")]
     if unknown:
-        raise InputError(
-            f"{name} has unknown keys: {listed(unknown)}; the keys are 'train' and 'test'"
-        )
+        known = "the keys are 'train' and 'test'"
+        raise InputError(f"{name} has unknown keys: {listed(unknown)}; {known}")
     parts: dict[str, Pairs] = {}
     for key in ("train", "test"):
         if key not in mapping:
@@ -233,8 +217,6 @@ def _named_split(
         parts[key] = _checked_pairs(mapping[key], f"{key!r} of {name}")
     both = [pair for pair in parts["train"] if pair in set(parts["test"])]
     if both:
-        raise InputError(
-            f"{name} has cases in both 'train' and 'test': (geometry, waveform) = "
-            f"{listed(both)}; a case may be in one of them"
-        )
+        pairs = f"(geometry, waveform) = {listed(both)}"
+        raise InputError(f"{name} has cases in both 'train' and 'test': {pairs}")
     return {key: _of_pairs(labels, pairs, f"{key!r} of {name}") for key, pairs in parts.items()}

@@ -35,9 +35,7 @@ def each_waveform_and_geometry(cases: Cases) -> dict[tuple[str, int], Positions]
         if len(distinct) > 1:
             found |= {(label, int(value)): np.flatnonzero(values == value) for value in distinct}
     if not found:
-        raise InputError(
-            "There is a single waveform and a single geometry: nothing can be held out."
-        )
+        raise InputError("There is one waveform and one geometry: nothing can be held out.")
     return found
 
 

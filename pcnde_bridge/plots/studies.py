@@ -53,10 +53,7 @@ def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -
 
 
 def fourier_effect(
-    effect: FourierEffect,
-    case: int = 0,
-    position: float = 0.9,
-    truth_label: str = "3D, averaged",
+    effect: FourierEffect, case: int = 0, position: float = 0.9, truth_label: str = "3D, averaged"
 ) -> Figure:
     """Plot the area with and without the Fourier stage (figure 7 b).
 

@@ -106,9 +106,8 @@ class FormulationStudy:
                 "slope_error": relative_error(found.slope, slope),
                 "slope_variation": variation(found.slope) / variation(slope),
             }
-            truth, start = (
-                compared("area", area) for area in (cases.area, cases.area_undeformed[:, None])
-            )
+            truth = compared("area", cases.area)
+            start = compared("area", cases.area_undeformed[:, None])
             for name in ("continuity_area", "area"):
                 area = compared("area", getattr(found, name))
                 row[f"{name}_error"] = relative_error(area, truth)
@@ -288,10 +287,7 @@ def _evaluate(
         flow, start = flows[subset], cases.area_undeformed
         inputs = IntermediateAreaInputs(flow, start)
         by_continuity = engine.intermediate_area.solve(uncorrected, inputs, train.grid, config)
-        results[subset] = FormulationResult(
-            flow,
-            flow_slope(flow, cases.z),
-            by_continuity[:, -cases.n_times :],
-            solve_area(engine, parameters, flow, start, train.grid, config),
-        )
+        area = solve_area(engine, parameters, flow, start, train.grid, config)
+        slope, last = flow_slope(flow, cases.z), by_continuity[:, -cases.n_times :]
+        results[subset] = FormulationResult(flow, slope, last, area)
     return results

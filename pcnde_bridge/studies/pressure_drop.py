@@ -10,6 +10,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import Physics
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.selection import case_keys
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.model.metrics import POOLED, relative_error
 from pcnde_bridge.studies._shared import check_shape
@@ -46,18 +47,15 @@ class PressureDrops:
             formula gives more than the truth.
         """
         names = ["geometry", "waveform"]
-        keys = list(self.cases.labels[names].itertuples(index=False, name=None))
+        keys = case_keys(self.cases.labels)
         index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=names)
         subsets = [*(slice(i, i + 1) for i in range(len(keys))), slice(None)]
-        rows = [
-            {
-                "model": relative_error(self.predicted[subset], self.truth[subset]),
-                "empirical": relative_error(self.empirical[subset], self.truth[subset]),
-                "overestimated": float(np.mean(self.empirical[subset] > self.truth[subset])),
-            }
-            for subset in subsets
-        ]
-        return pd.DataFrame(rows, index=index)
+        columns = {
+            "model": [relative_error(self.predicted[s], self.truth[s]) for s in subsets],
+            "empirical": [relative_error(self.empirical[s], self.truth[s]) for s in subsets],
+            "overestimated": [np.mean(self.empirical[s] > self.truth[s]) for s in subsets],
+        }
+        return pd.DataFrame(columns, index)
 
 
 def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -> PressureDrops:
@@ -87,14 +85,11 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
         int(np.abs(cases.z - start - fraction * length).argmin()) for fraction in (1 / 3, 2 / 3)
     )
     throat = cases.area_undeformed.argmin(axis=1)
+    flow, healthy = cases.flow[np.arange(len(cases)), :, throat], cases.area_undeformed[:, :1]
+    narrowest = cases.area_undeformed.min(axis=1)[:, None]
+    blood = physics.density, physics.viscosity, physics.turbulent_coefficient
     empirical: Array = pressure_losses.pressure_drop(
-        cases.flow[np.arange(len(cases)), :, throat],
-        cases.area_undeformed[:, :1],
-        cases.area_undeformed.min(axis=1)[:, None],
-        physics.stenosis_length,
-        density=physics.density,
-        viscosity=physics.viscosity,
-        turbulent_coefficient=physics.turbulent_coefficient,
+        flow, healthy, narrowest, physics.stenosis_length, *blood
     )
     truth, predicted = (p[:, :, first] - p[:, :, second] for p in (cases.pressure, pressure))
     return PressureDrops(cases, truth, predicted, empirical)

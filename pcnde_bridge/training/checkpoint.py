@@ -54,13 +54,7 @@ class Checkpoint:
     """
 
     def __init__(
-        self,
-        path: StrPath,
-        kind: str,
-        version: int,
-        cases: Cases,
-        config: Config,
-        engine: Engine,
+        self, path: StrPath, kind: str, version: int, cases: Cases, config: Config, engine: Engine
     ) -> None:
         self.path = Path(path)
         self._kind, self._version = kind, version

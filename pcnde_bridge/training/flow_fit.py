@@ -235,8 +235,7 @@ class _Equation:
 
     def fit(self, start: Array, iterations: int, on_iteration: OnIteration) -> Fit:
         """Fit by L-BFGS from given parameters."""
-        first, limits = self.whitening.coordinates(start), (iterations, self._unit)
-        callbacks, settings = (self._validate, on_iteration), self.config.full_batch
-        lbfgs = self.engine.lbfgs
-        found = minimize(self._objective, first, settings, *limits, *callbacks, lbfgs=lbfgs)
+        first, lbfgs = self.whitening.coordinates(start), self.engine.lbfgs
+        run = self.config.full_batch, iterations, self._unit, self._validate, on_iteration
+        found = minimize(self._objective, first, *run, lbfgs=lbfgs)
         return replace(found, parameters=self.whitening.parameters(found.parameters))

@@ -51,11 +51,10 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all steps, if no fit ends early."""
     settings = config.full_batch
     fits = settings.starts if config.flow.terms else 1  # through the equation, in the first round
-    flow_iterations = (settings.starts + settings.rounds - 1) * settings.collocation_iterations
-    flow_iterations += (
-        fits * settings.iterations + (settings.rounds - 1) * settings.later_iterations
-    )
-    return flow_iterations + 2 * settings.rounds + (n_batches + 1) * settings.pressure_iterations
+    later = settings.rounds - 1
+    flow = (settings.starts + later) * settings.collocation_iterations
+    flow += fits * settings.iterations + later * settings.later_iterations
+    return flow + 2 * settings.rounds + (n_batches + 1) * settings.pressure_iterations
 
 
 def fit(wanted: StageFit) -> Array:

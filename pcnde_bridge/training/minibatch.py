@@ -37,11 +37,8 @@ def count_iterations(config: PCNDEConfig, n_batches: int) -> int:
     """Count the iterations of all steps, if no fit ends early."""
     flow, couplings = config.flow, config.flow.epochs // config.flow.couple_every
     area = config.intermediate_area.iterations + config.fourier_area.iterations
-    return (
-        n_batches * (flow.epochs * flow.iterations + couplings * area)
-        + config.temporal_pressure.iterations
-        + config.spatial_pressure.iterations
-    )
+    pressure = config.temporal_pressure.iterations + config.spatial_pressure.iterations
+    return n_batches * (flow.epochs * flow.iterations + couplings * area) + pressure
 
 
 def fit(wanted: StageFit) -> Array:

@@ -25,13 +25,8 @@ class TrainingProgress(ProgressDisplay):
     """
 
     def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
-        columns = (
-            TextColumn("loss {task.fields[loss]}"),
-            TextColumn("{task.fields[fits]}"),
-            TimeElapsedColumn(),
-            TextColumn("<"),
-            TimeRemainingColumn(),
-        )
+        fields = TextColumn("loss {task.fields[loss]}"), TextColumn("{task.fields[fits]}")
+        columns = (*fields, TimeElapsedColumn(), TextColumn("<"), TimeRemainingColumn())
         super().__init__("training", total, done, columns, console=console, loss="-", fits="")
         self._compiled = 0.0  # time at which the first iteration of this run was complete
         self._fits, self._converged = 0, 0

@@ -9,12 +9,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines.equations import (
-    STEEPNESS,
-    flow_at_stenosis,
-    stenosis_drop,
-    step_profile,
-)
+from pcnde_bridge.engines.equations import STEEPNESS, flow_at_stenosis, stenosis_drop, step_profile
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import Fit, OnIteration, SpatialPressureInputs
 from pcnde_bridge.training.lbfgs import minimize
@@ -52,15 +47,9 @@ def fit_spatial_pressure(
     """
     settings, n_times = config.full_batch, target.shape[1]
     problem = _StepFit(inputs, target, grid, config)
-    found = minimize(
-        problem.objective,
-        start[2 + n_times :],
-        settings.replace(weight_decay=0.0),
-        settings.pressure_iterations,
-        float(np.mean(target**2)),
-        on_iteration=on_iteration,
-        lbfgs=engine.lbfgs,
-    )
+    limits = settings.pressure_iterations, float(np.mean(target**2))
+    run = settings.replace(weight_decay=0.0), *limits, None, on_iteration
+    found = minimize(problem.objective, start[2 + n_times :], *run, lbfgs=engine.lbfgs)
     linear, _ = problem.linear(problem.step(found.parameters)[0])
     return replace(found, parameters=np.concatenate([linear, found.parameters]))
 
@@ -113,11 +102,8 @@ class _StepFit:
         right[0] = self._wanted.sum() + np.sum(self._drop * total)
         right[1] = -np.sum(self._more_wanted * step) - np.sum(self._more_drop * square)
         right[2:] = -np.sum(self._wanted * step, axis=1) - self._drop * square
-        known = (
-            self._wanted_square
-            + 2 * np.sum(self._drop_wanted * step)
-            + np.sum(self._drop_drop * square)
-        )
+        known = self._wanted_square + 2 * np.sum(self._drop_wanted * step)
+        known += np.sum(self._drop_drop * square)
         unknowns = solve_normal(normal, right)
         return unknowns, float(known - 2 * right @ unknowns + unknowns @ normal @ unknowns)
 

@@ -58,15 +58,10 @@ def fit_temporal_pressure(
     widths = layer_sizes("temporal_pressure", config, target.shape[1], target.shape[2])
     subsets = [_Subset(inputs, target, positions, config) for positions in selection]
     whitening = Whitening(subsets[0].inputs, widths[1], settings.whitening)
-    fit = VariableProjection(
-        subsets,
-        whitening,
-        widths,
-        config.temporal_pressure.activation,
-        settings.replace(weight_decay=settings.pressure_weight_decay),
-        settings.pressure_iterations,
-        float(np.mean(target**2)),
-    )
+    network = whitening, widths, config.temporal_pressure.activation
+    run = settings.replace(weight_decay=settings.pressure_weight_decay)
+    limits = settings.pressure_iterations, float(np.mean(target**2))
+    fit = VariableProjection(subsets, *network, run, *limits)
     return fit.fit(start, on_iteration, engine.lbfgs)
 
 

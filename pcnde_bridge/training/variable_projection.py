@@ -94,16 +94,9 @@ class VariableProjection:
 
     def fit(self, start: Array, on_iteration: OnIteration | None, lbfgs: LBFGS) -> Fit:
         """Fit the network from given parameters."""
-        found = minimize(
-            self.objective,
-            self.coordinates(start),
-            self.settings,
-            self.iterations,
-            self.unit,
-            self._validation_error if len(self.subsets) > 1 else None,
-            on_iteration,
-            lbfgs=lbfgs,
-        )
+        validate = self._validation_error if len(self.subsets) > 1 else None
+        run = self.settings, self.iterations, self.unit, validate, on_iteration
+        found = minimize(self.objective, self.coordinates(start), *run, lbfgs=lbfgs)
         layer = self._project(found.parameters)[1].layer
         coordinates = np.concatenate([found.parameters, layer.ravel()])
         return replace(found, parameters=self.whitening.parameters(coordinates))

@@ -86,7 +86,7 @@ def test_select_by_labels(small_cases):
         (([(1, 2), (9, 9)],), {}, r"not in this data set: \(geometry, waveform\) = \(9, 9\);"),
         (([(1, 2), (1, 2)],), {}, r"select names \(1, 2\) twice, the second time as entry 1"),
         (([3, -9],), {}, "case 3 is selected more than once"),
-        ((), {"geometry": 11}, "no case has geometry = 11; the available values are: 1, 2, 3"),
+        ((), {"geometry": 11}, "no case has geometry = 11; the values are: 1, 2, 3"),
         ((), {"geometry": [1, 7, 8]}, "no case has geometry = 7, 8"),
         ((), {"patient": "Anne"}, "no case has patient = Anne"),
         ((), {"colour": "red"}, "there is no label 'colour'; the labels are 'geometry', 'wavefo"),
