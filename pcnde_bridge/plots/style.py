@@ -189,11 +189,8 @@ def z_index_at(cases: Cases, position: float) -> int:
     InputError
         If the fraction is not in [0, 1].
     """
-    if not 0 <= position <= 1:
-        raise InputError(
-            f"position must be a fraction of the vessel length, from 0 to 1, got {position!r}."
-        )
-    return int(np.abs(cases.z - cases.z[0] - position * (cases.z[-1] - cases.z[0])).argmin())
+    length = cases.z[-1] - cases.z[0]
+    return _nearest("position", position, "vessel length", cases.z, length)
 
 
 def time_index_at(cases: Cases, time_point: float) -> int:
@@ -204,11 +201,16 @@ def time_index_at(cases: Cases, time_point: float) -> int:
     InputError
         If the fraction is not in [0, 1].
     """
-    if not 0 <= time_point <= 1:
+    return _nearest("time_point", time_point, "cycle", cases.time, cases.period)
+
+
+def _nearest(name: str, fraction: float, whole: str, x: Array, length: float) -> int:
+    """Return the index of the value of x at a fraction of the length from its start."""
+    if not 0 <= fraction <= 1:
         raise InputError(
-            f"time_point must be a fraction of the cycle, from 0 to 1, got {time_point!r}."
+            f"{name} must be a fraction of the {whole}, from 0 to 1, got {fraction!r}."
         )
-    return int(np.abs(cases.time - cases.time[0] - time_point * cases.period).argmin())
+    return int(np.abs(x - x[0] - fraction * length).argmin())
 
 
 def check_case(name: str, case: int, cases: Cases) -> None:
