@@ -163,12 +163,12 @@ FIGURES: list[PaperFigure] = []
 """All figures, in the order in which they are created."""
 
 
-def paper_figure(name: str, description: str, cost: str = "") -> Callable[[_Draw], _Draw]:
-    """Append the decorated function to :data:`FIGURES`."""
+def paper_figure(name: str, description: str, cost: str = "") -> Callable[[_Draw], PaperFigure]:
+    """Turn a function that draws into a :class:`PaperFigure` of :data:`FIGURES`."""
 
-    def register(draw: _Draw) -> _Draw:
+    def register(draw: _Draw) -> PaperFigure:
         FIGURES.append(PaperFigure(name, description, draw, cost))
-        return draw
+        return FIGURES[-1]
 
     return register
 

@@ -129,7 +129,7 @@ def test_stenoses_moved_doubled_and_absent(solved):
         ({"n_waveforms": 2.0}, "n_waveforms must be a whole number ≥ 1"),
         ({"seed": -1}, "seed must be a whole number ≥ 0"),
         ({"seed": True}, "seed must be a whole number ≥ 0"),
-        ({"stenosis_positions": ()}, "all 10 geometries are the same"),
+        ({"stenosis_positions": ()}, "all geometries are the same"),
         ({"stenosis_positions": (1.0, 1.2)}, "overlap"),
         ({"stenosis_positions": (0.1,)}, "outside the tube"),
         ({"n_points": 1}, "n_points"),

@@ -43,7 +43,7 @@ def test_fourier_effect(small_cases, predicted):
     np.testing.assert_allclose(final[:20], final[20:])
     np.testing.assert_allclose(intermediate[20:] - intermediate[:20], 0.1)
     assert "geometry 2, waveform 0, z = 3.60 cm" in axis.get_title()
-    with pytest.raises(InputError, match="case is 12"):
+    with pytest.raises(InputError, match="case 12"):
         plots.fourier_effect(effect, 12)
 
 

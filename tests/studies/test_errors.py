@@ -59,7 +59,7 @@ def test_pointwise_errors_by_hand(toy_model, hardest):
 
 
 def test_pointwise_errors_are_of_one_case(small_cases, predicted):
-    with pytest.raises(InputError, match="of one case, got 12"):
+    with pytest.raises(InputError, match="one case, got 12"):
         pointwise_errors(predicted, small_cases)
 
 

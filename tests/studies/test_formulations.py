@@ -89,7 +89,7 @@ def test_smoothness_shows_the_study(formulations):
     np.testing.assert_array_equal(
         lines[1].get_ydata(), formulations.results["spatial", "test"].slope[1, peak]
     )
-    with pytest.raises(InputError, match="no case"):
+    with pytest.raises(InputError, match="case 2 must be one of the 2 cases"):
         plots.smoothness(formulations, "test", case=2)
     with pytest.raises(InputError, match="from 0 to 1"):
         plots.smoothness(formulations, "test", position=1.5)
