@@ -35,13 +35,17 @@ from pcnde_bridge import (
 )
 from pcnde_bridge.evaluation.baselines import (
     FEM_WALL,
+    DropRegression,
     ResponseSurface,
     Solver1D,
+    StenosisLoss,
     Unchanged,
 )
+from pcnde_bridge.hemodynamics.pressure_losses import unsteady_pressure_drop
 from pcnde_bridge.model.metrics import coverage, pooled_errors
 
 VARIABLES = ("flow", "area", "pressure")
+ERRORS = (*VARIABLES, "pressure_drop", "one_minus_ffr")
 
 
 def split_cases(cases: Cases, split: str, seed: int) -> Split:
@@ -84,21 +88,31 @@ def measure_baselines(data: str, split: str, seed: int) -> dict[str, dict[str, d
     """Return the errors of the baselines."""
     sets = split_cases(load_cases(data), split, seed)
     found = {}
-    methods: dict[str, Any] = {"no change": Unchanged(), "1D solver": Solver1D(FEM_WALL)}
+    methods: dict[str, Any] = {
+        "no change": Unchanged(),
+        "1D solver": Solver1D(FEM_WALL),
+        "Seeley-Young": StenosisLoss(),
+        "Young-Tsai": StenosisLoss(unsteady_pressure_drop),
+        "drop regression": DropRegression(),
+    }
     for name, method in methods.items():
-        method.fit(sets.train)
+        try:
+            method.fit(sets.train)
+        except InputError as error:
+            print(f"{name}: {error}", flush=True)
+            continue
         found[name] = {
             subset: pooled_errors(method.predict(cases), cases)
             for subset, cases in sets._asdict().items()
         }
-    best: dict[str, float] = dict.fromkeys(VARIABLES, np.inf)
+    best: dict[str, float] = dict.fromkeys(ERRORS, np.inf)
     for degrees in product(range(1, 4), repeat=2):
         try:
             surface = ResponseSurface(*degrees).fit(sets.train)
         except InputError:
             continue
         errors = pooled_errors(surface.predict(sets.test), sets.test)
-        best = {name: min(best[name], errors[name]) for name in VARIABLES}
+        best = {name: min(best[name], errors[name]) for name in ERRORS}
     found["best polynomial"] = {"test": best}
     return found
 
@@ -108,7 +122,7 @@ def summarize(results: list[dict[str, Any]]) -> dict[str, Any]:
     rows = {
         f"{subset} {v}": [r[subset][v] for r in results]
         for subset in ("train", "test")
-        for v in VARIABLES
+        for v in ERRORS
     }
     rows |= {name: [r[name] for r in results] for name in ("seconds", "peak_mb")}
     if "coverage" in results[0]:
@@ -140,12 +154,12 @@ def main() -> None:
             mine = [r for r in results if (r["split"], r["preset"], r["requested"]) == key]
             print(f"{split}: {preset} ({engine}), {len(mine)} seeds, median (worst)")
             for name, (median, worst) in summarize(mine).items():
-                print(f"  {name:18} {median:.5g} ({worst:.5g})", flush=True)
+                print(f"  {name:20} {median:.5g} ({worst:.5g})", flush=True)
         seeds = options.seeds if split == "random" else options.seeds[:1]
         baselines[split] = {seed: measure_baselines(options.data, split, seed) for seed in seeds}
         for seed, methods in baselines[split].items():
             for name, errors in methods.items():
-                values = "  ".join(f"{v} {errors['test'][v]:.5f}" for v in VARIABLES)
+                values = "  ".join(f"{v} {errors['test'][v]:.5f}" for v in ERRORS)
                 print(f"{split}, seed {seed}: {name}: test {values}", flush=True)
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:  # noqa: PTH123

@@ -7,7 +7,7 @@ such as ``model[fast].npz``.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -37,10 +37,16 @@ def show(table: Table) -> None:
     _out.print(table, soft_wrap=False)
 
 
+def error_titles(names: Iterable[str]) -> list[str]:
+    """Return the headings of columns of errors, short enough for a narrow terminal."""
+    short = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
+    return [short.get(name, name) for name in names]
+
+
 def show_errors(errors: Mapping[str, Mapping[str, float]]) -> None:
     """Print relative errors: a line for each name, a column for each variable."""
     variables = list(next(iter(errors.values())))
-    table = Table("relative error", *variables)
+    table = Table("relative error", *error_titles(variables))
     for name, row in errors.items():
         table.add_row(name, *(f"{row[variable]:.4f}" for variable in variables))
     show(table)

@@ -107,6 +107,13 @@ def predict(
     interpolate: Annotated[
         bool, option("Interpolate unequal time steps, and to the model's grid.")
     ] = False,
+    indices: Annotated[
+        Path | None,
+        option(
+            "Also write pressure drop, FFR, resistance and other indices of each case to this "
+            ".csv, with 90 % intervals where there are samples."
+        ),
+    ] = None,
 ) -> None:
     """Predict flow, area and pressure of new cases.
 
@@ -116,7 +123,7 @@ def predict(
     from pcnde_bridge.io.input_tables import read_inputs
 
     suffix = check_target(out, has_pressure=True)
-    check_outputs(out, inputs=[model, inflow, area])
+    check_outputs(out, indices, inputs=[model, inflow, area])
     if samples and suffix != ".csv":
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine)
@@ -132,9 +139,13 @@ def predict(
         interpolate=interpolate,
     )
     q, s_u = given.inflow, given.area_undeformed
+    tables: list[pd.DataFrame] = []
 
     def named(prediction: Prediction) -> Prediction:
-        return replace(prediction, labels=given.name_labels(prediction.labels))
+        prediction = replace(prediction, labels=given.name_labels(prediction.labels))
+        if indices is not None:
+            tables.append(prediction.indices())
+        return prediction
 
     files, options = [out], {"units": stated, **given.where}
     if suffix == ".csv":
@@ -149,6 +160,10 @@ def predict(
         files, count = prediction.save(out), len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"
     say(f"Saved {counted(count, 'case')} in {place}.")
+    if indices is not None:
+        with atomic_write(indices) as temporary:
+            pd.concat(tables).to_csv(temporary, index=False)
+        say(f"Saved their indices in {indices}.")
 
 
 def explore(

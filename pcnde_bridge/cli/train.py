@@ -12,7 +12,7 @@ from rich.table import Table
 from pcnde_bridge._utils.files import atomic_write
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
-from pcnde_bridge.cli.console import note, resumable, say, show, show_errors
+from pcnde_bridge.cli.console import error_titles, note, resumable, say, show, show_errors
 from pcnde_bridge.cli.options import (
     ConfigOption,
     DataArgument,
@@ -207,7 +207,10 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
 def _show_rows(rows: list[benchmark.Row], sets: list[str]) -> None:
     """Print the methods side by side, then why some were not applicable."""
     variables = list(rows[0].errors[sets[0]])
-    table = Table("relative error", "", *variables, show_lines=True)
+    table = Table(show_lines=True, padding=0)  # nine columns fit into 80 characters
+    table.add_column("relative error", min_width=13)
+    for title in ("", *error_titles(variables)):
+        table.add_column(title)
     table.add_column("fit\ns", justify="right")
     table.add_column("predict\nms per case", justify="right")
     for row in rows:

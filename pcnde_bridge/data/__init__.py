@@ -1,4 +1,4 @@
-"""The data set: the container ``Cases``, its checks, grid, files and splits.
+"""The data set: the container ``Cases``, its checks, grid, files, splits and indices.
 
 Arrays have the axes (case, time, z) and CGS units; all data enter the package through ``Cases``.
 """

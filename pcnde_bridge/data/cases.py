@@ -17,6 +17,7 @@ from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions, split_positions
 from pcnde_bridge.data.variables import UNITS, VARIABLES
@@ -33,11 +34,13 @@ class Split(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, init=False, eq=False, repr=False)
-class Cases:
+class Cases(VesselQuantities):
     """Flow, area and pressure along a vessel over one cycle, for many cases.
 
     A case is one geometry with one inflow waveform.  The object is immutable: its arrays
-    are read-only, C-contiguous float64 copies of the arguments.
+    are read-only, C-contiguous float64 copies of the arguments.  The pressure drop, the
+    fractional flow reserve and other quantities are methods of
+    :class:`~pcnde_bridge.data.indices.VesselQuantities`.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import InputError
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
@@ -16,7 +17,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
         "L/min": 1e3 / 60,
     },
     "area": {"cm^2": 1.0, "mm^2": 1e-2, "m^2": 1e4},
-    "pressure": {"dyn/cm^2": 1.0, "Pa": 10.0, "kPa": 1e4, "mmHg": 1333.22},
+    "pressure": {"dyn/cm^2": 1.0, "Pa": 10.0, "kPa": 1e4, "mmHg": MMHG},
     "z": {"cm": 1.0, "mm": 0.1, "m": 100.0},
     "time": {"s": 1.0, "ms": 1e-3},
 }

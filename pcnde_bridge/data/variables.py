@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["SOLVER_LABELS", "UNITS", "VARIABLES"]
+__all__ = ["MMHG", "SOLVER_LABELS", "UNITS", "VARIABLES"]
 
 VARIABLES = ("flow", "area", "pressure")
 """Variables that a model predicts, each of shape (case, time, z)."""
@@ -16,6 +16,9 @@ UNITS = {
     "z": "cm",
 }
 """Unit (CGS) of each array."""
+
+MMHG = 1333.22
+"""1 mmHg in dyn/cm²."""
 
 SOLVER_LABELS = ("periodicity", "volume_balance")
 """Labels with which the 1D solver reports its accuracy; predictions do not have them."""

@@ -4,8 +4,10 @@ Its functions fit and predict as a user does, and return tables of errors and ti
 """
 
 from pcnde_bridge.evaluation.baselines import (
+    DropRegression,
     ResponseSurface,
     Solver1D,
+    StenosisLoss,
     Unchanged,
     standard_baselines,
 )
@@ -14,8 +16,10 @@ from pcnde_bridge.evaluation.cross_validation import cross_validate
 from pcnde_bridge.evaluation.sweep import sweep
 
 __all__ = [
+    "DropRegression",
     "ResponseSurface",
     "Solver1D",
+    "StenosisLoss",
     "Unchanged",
     "bench_baseline",
     "bench_model",

@@ -3,15 +3,18 @@
 * :class:`Unchanged`: no change along the vessel.
 * :class:`Solver1D`: the 1D solver, of which only the outlet is fitted.
 * :class:`ResponseSurface`: polynomials in principal components of the inputs.
+* :class:`StenosisLoss`: no change but a published pressure loss across the stenosis.
+* :class:`DropRegression`: a fitted, quasi-steady pressure drop across the stenosis.
 
 Units are CGS; arrays are (case, time, z).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations_with_replacement
 from math import ceil, comb
-from typing import Protocol, Self, TypeVar
+from typing import Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -19,8 +22,15 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
+from pcnde_bridge.data.indices import (
+    healthy_area,
+    measuring_positions,
+    pressure_drop,
+    throats,
+)
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.tube_laws import PAPER_REFERENCE_PRESSURE, LinearWall
@@ -35,6 +45,10 @@ in its place, which is three quarters of Young's modulus, the 1D solver here giv
 0.0491 and 0.0360 for the column's 0.0204, 0.0498 and 0.0365; with the wall as the paper
 prints it, 0.0351, 0.0502 and 0.0607.
 """
+
+
+Loss: TypeAlias = Callable[[Array, Array, Array, Array, float], Array]
+"""Pressure drop, dyn/cm², from Q, ∂Q/∂t, S_D, S_s and L_s."""
 
 
 class Baseline(Protocol):
@@ -131,6 +145,40 @@ class Solver1D(_WithOutlet):
         return {name: getattr(solved, name) for name in VARIABLES}
 
 
+class StenosisLoss(Unchanged):
+    """No change along the vessel but a pressure loss across its narrowest stenosis.
+
+    The loss is added to the pressure from the inlet to the throat (see
+    :func:`pcnde_bridge.data.indices.throats`); the flow is the inflow.
+
+    Parameters
+    ----------
+    loss : callable
+        Function of Q (mL/s) and ∂Q/∂t (mL/s²), each of shape (case, time), and of S_D, S_s
+        (cm²) and L_s (cm), which returns the drop, dyn/cm².  By default it is that of Seeley
+        and Young as the paper prints it.
+    stenosis_length : float
+        Length L_s of the stenosis, cm.
+    """
+
+    def __init__(self, loss: Loss | None = None, stenosis_length: float = 0.5) -> None:
+        super().__init__()
+        self._loss = seeley_young if loss is None else loss
+        self._stenosis_length = stenosis_length
+
+    def predict(self, cases: Cases) -> dict[str, Array]:
+        """Predict the inflow, the undeformed area and the loss; see :class:`Baseline`."""
+        found = super().predict(cases)
+        flow, rate = cases.inflow, _rate(cases.inflow, cases.period)
+        drop = self._loss(flow, rate, *_areas(cases), self._stenosis_length)
+        return found | {"pressure": found["pressure"] + _upstream(drop, cases)}
+
+
+def seeley_young(flow: Array, rate: Array, healthy: Array, throat: Array, length: float) -> Array:
+    """Return the drop of Seeley and Young (1976) as the paper prints it; see :data:`Loss`."""
+    return np.asarray(pressure_losses.pressure_drop(flow, healthy, throat, length))
+
+
 class ResponseSurface:
     """Polynomial for each value on the grid, in principal components of the inputs.
 
@@ -225,6 +273,96 @@ class ResponseSurface:
         }
 
 
+class DropRegression:
+    """Quasi-steady pressure drop across the stenosis, fitted on the training cases.
+
+    The drop is a linear combination of Q, Q·|Q|^½, Q·|Q| and ∂Q/∂t at the throat, each times
+    the powers 0 … ``degree`` of the area ratio S_D/S_s.  The power 3/2 is that of a developing
+    boundary layer.  The coefficients are fitted by least squares to the training cases' drop
+    (:meth:`pcnde_bridge.Cases.pressure_drop`) with their flow at the throat.  Another
+    baseline predicts flow and area; its pressure upstream of the throat is shifted so that it
+    has the drop of the regression.
+
+    Parameters
+    ----------
+    degree : int
+        Largest power of the area ratio.
+    base : Baseline, optional
+        The other baseline; by default :class:`ResponseSurface`.
+
+    Raises
+    ------
+    InputError
+        If the degree is not a whole number of 0 or more.
+    """
+
+    def __init__(self, degree: int = 3, base: Baseline | None = None) -> None:
+        self._degree = whole("degree", degree)
+        self._base = ResponseSurface() if base is None else base
+        self._coefficients: Array | None = None
+
+    def fit(self, train: Cases) -> DropRegression:
+        """Fit the other baseline and the coefficients of the drop; see :class:`Baseline`.
+
+        Raises
+        ------
+        InputError
+            If the training cases have too few different geometries or waveforms.
+        """
+        self._base.fit(train)
+        features = self._features(train.flow, train)
+        rows = features.reshape(-1, features.shape[-1])
+        size = np.maximum(np.abs(rows).max(axis=0), np.finfo(float).tiny)
+        if np.linalg.matrix_rank(rows / size) < rows.shape[1]:
+            raise InputError(
+                f"The training cases have too few different geometries or waveforms for "
+                f"{rows.shape[1]} coefficients of the pressure drop; use a smaller degree."
+            )
+        drop = train.pressure_drop().ravel()
+        self._coefficients = np.linalg.lstsq(rows / size, drop, rcond=None)[0] / size
+        return self
+
+    def predict(self, cases: Cases) -> dict[str, Array]:
+        """Predict with the other baseline, then correct the drop; see :class:`Baseline`."""
+        coefficients = _fitted(self._coefficients)
+        found = self._base.predict(cases)
+        ends = measuring_positions(cases.z, cases.area_undeformed)
+        missing = self._features(found["flow"], cases) @ coefficients
+        missing -= pressure_drop(found["pressure"], cases.z, *ends)
+        return found | {"pressure": found["pressure"] + _upstream(missing, cases)}
+
+    def _features(self, flow: Array, cases: Cases) -> Array:
+        """Return the terms of the regression, (case, time, term)."""
+        points, _ = throats(cases.z, cases.area_undeformed)
+        flow = flow[np.arange(len(cases)), :, points]
+        healthy, throat = _areas(cases)
+        rate = _rate(flow, cases.period)
+        terms = np.stack([flow, flow * abs(flow) ** 0.5, flow * abs(flow), rate], axis=-1)
+        powers = (healthy / throat)[..., None, None] ** np.arange(self._degree + 1)
+        return (terms[..., None] * powers).reshape(*flow.shape, -1)
+
+
+def _rate(flow: Array, period: float) -> Array:
+    """Return ∂Q/∂t, mL/s², of a periodic flow (case, time), from its Fourier series."""
+    count = flow.shape[1]
+    frequencies = np.fft.rfftfreq(count, period / count)
+    return np.fft.irfft(2j * np.pi * frequencies * np.fft.rfft(flow, axis=1), count, axis=1)
+
+
+def _areas(cases: Cases) -> tuple[Array, Array]:
+    """Return the healthy area S_D at the throat and the throat's S_s, cm², each (case, 1)."""
+    points, ratios = throats(cases.z, cases.area_undeformed)
+    healthy = healthy_area(cases.z, cases.area_undeformed)[np.arange(len(cases)), points]
+    return healthy[:, None], (ratios * healthy)[:, None]
+
+
+def _upstream(drop: Array, cases: Cases) -> Array:
+    """Return a drop (case, time) up to the throat and 0 behind it, (case, time, z)."""
+    points, _ = throats(cases.z, cases.area_undeformed)
+    upstream = np.arange(cases.n_points) <= points[:, None]
+    return np.asarray(drop[:, :, None] * upstream[:, None, :])
+
+
 class _Axis:
     """Principal components of one input, and polynomial terms in their scores."""
 
@@ -270,8 +408,9 @@ def standard_baselines() -> dict[str, Baseline]:
     """Return the baselines of ``pcnde bench`` by name, unfitted and with default settings.
 
     They are :class:`Unchanged`; :class:`Solver1D` undeformed at zero pressure, undeformed at
-    the paper's reference pressure of 100 mmHg, and with :data:`FEM_WALL`; and
-    :class:`ResponseSurface` of degrees 3 and 3.
+    the paper's reference pressure of 100 mmHg, and with :data:`FEM_WALL`;
+    :class:`ResponseSurface` of degrees 3 and 3; :class:`StenosisLoss` with the drops of Seeley
+    and Young and of Young and Tsai; and :class:`DropRegression`.
     """
     return {
         "no change": Unchanged(),
@@ -279,4 +418,7 @@ def standard_baselines() -> dict[str, Baseline]:
         "1D, 100 mmHg": Solver1D(LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)),
         "1D, as paper": Solver1D(FEM_WALL),
         "polynomial": ResponseSurface(),
+        "Seeley-Young": StenosisLoss(),
+        "Young-Tsai": StenosisLoss(pressure_losses.unsteady_pressure_drop),
+        "drop regression": DropRegression(),
     }

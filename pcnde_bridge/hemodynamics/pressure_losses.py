@@ -1,9 +1,12 @@
-"""Pressure drop along a stenosis after Seeley and Young (1976), as in the paper.
+"""Pressure drop along a stenosis after Seeley and Young (1976) and Young and Tsai (1973).
+
+The form of Seeley and Young in the paper is
 
     Δp = ρ·Q²/S_D²·K_v/Re + K_t·ρ·Q²/(2·S_D²)·(S_D/S_s − 1)²,   K_v = 32·(L_s/D₀)·(S_D/S_s)²
 
 with S_D and D₀ the area and diameter of the healthy vessel upstream, S_s the
 smallest area and L_s the length of the stenosis, and Re = ρ·|Q|·D₀/(S_D·μ).
+:func:`unsteady_pressure_drop` adds the inertia of Young and Tsai.
 
 Only arithmetic operators and ``abs`` are used, so that every function takes
 numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
@@ -11,26 +14,9 @@ numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-
-def diameter(area: Any) -> Any:
-    """Return the diameter of a circle, cm, of an area in cm²."""
-    return (4.0 / math.pi * area) ** 0.5
-
-
-def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: float = 0.04) -> Any:
-    """Return the Reynolds number of the mean velocity and the diameter, ρ·|Q|·D/(S·μ).
-
-    Parameters
-    ----------
-    flow, area : array, shape (...)
-        Q (mL/s) and S (cm²).
-    density, viscosity : float
-        ρ (g/cm³) and μ (poise).
-    """
-    return density * abs(flow) * diameter(area) / (area * viscosity)
+from pcnde_bridge.data.indices import diameter
 
 
 def viscous_coefficient(area_healthy: Any, area_throat: Any, length: Any) -> Any:
@@ -142,3 +128,53 @@ def pressure_drop(
     return viscous_drop(flow, area_healthy, area_throat, length, viscosity) + turbulent_drop(
         flow, area_healthy, area_throat, density, turbulent_coefficient
     )
+
+
+def unsteady_pressure_drop(
+    flow: Any,
+    flow_rate_of_change: Any,
+    area_healthy: Any,
+    area_throat: Any,
+    length: Any,
+    density: float = 1.06,
+    viscosity: float = 0.04,
+    turbulent_coefficient: float = 1.52,
+    inertial_coefficient: float = 1.2,
+) -> Any:
+    """Return the pressure drop of Young and Tsai (1973) in pulsatile flow, dyn/cm².
+
+    It is :func:`pressure_drop` with :func:`effective_length` in K_v, plus the inertia
+    K_u·ρ·L_s·(∂Q/∂t)/S_D.  The coefficients are K_v = 32·(0.83·L_s + 1.64·D_s)/D₀·(S_D/S_s)²,
+    K_t = 1.52 and K_u = 1.2 (Young and Tsai 1973, J. Biomechanics 6:395 and 6:547; the length
+    in K_v is that of Seeley and Young 1976, J. Biomechanics 9:439).
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s.
+    flow_rate_of_change : array, shape (...)
+        ∂Q/∂t, mL/s².
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    length : array, shape (...)
+        L_s, cm.
+    density, viscosity : float
+        ρ (g/cm³) and μ (poise).
+    turbulent_coefficient, inertial_coefficient : float
+        K_t and K_u.
+
+    Returns
+    -------
+    array, shape (...)
+        Drop, broadcast over all arguments.
+    """
+    steady = pressure_drop(
+        flow,
+        area_healthy,
+        area_throat,
+        effective_length(length, area_throat),
+        density,
+        viscosity,
+        turbulent_coefficient,
+    )
+    return steady + inertial_coefficient * density * length * flow_rate_of_change / area_healthy

@@ -9,6 +9,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
 from pcnde_bridge.errors import InputError
 
 AREA_MARGIN = 5
@@ -16,6 +17,8 @@ AREA_MARGIN = 5
 
 POOLED = "pooled"
 """Label of the row over all cases in :func:`error_table`."""
+
+_DERIVED = {"pressure_drop": pressure_drop, "one_minus_ffr": one_minus_ffr}
 
 
 def relative_error(predicted: Array, reference: Array) -> float:
@@ -26,12 +29,16 @@ def relative_error(predicted: Array, reference: Array) -> float:
     InputError
         If the shapes differ or the reference is zero.
     """
-    if predicted.shape != reference.shape:
-        raise InputError(f"Cannot compare shape {predicted.shape} with shape {reference.shape}.")
+    _check_shapes(predicted, reference)
     size = np.linalg.norm(reference.ravel())
     if size == 0:
         raise InputError("The relative error is undefined: the reference is zero everywhere.")
     return float(np.linalg.norm((predicted - reference).ravel()) / size)
+
+
+def _check_shapes(predicted: Array, reference: Array) -> None:
+    if predicted.shape != reference.shape:
+        raise InputError(f"Cannot compare shape {predicted.shape} with shape {reference.shape}.")
 
 
 def compared(variable: str, values: Array) -> Array:
@@ -44,6 +51,11 @@ def compared(variable: str, values: Array) -> Array:
 def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, float]:
     """Return the relative error of each variable over all cases, time points and positions.
 
+    With a pressure, there are two more errors, of quantities between the default positions of
+    :meth:`pcnde_bridge.Cases.pressure_drop`: ``pressure_drop`` over all cases and time points,
+    and ``one_minus_ffr``, that of 1 − FFR, over all cases.  They are NaN where the reference
+    is zero.
+
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
@@ -51,11 +63,7 @@ def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, flo
     cases : Cases
         Reference values.
     """
-    return {name: _error(name, values, getattr(cases, name)) for name, values in predicted.items()}
-
-
-def _error(variable: str, predicted: Array, reference: Array) -> float:
-    return relative_error(compared(variable, predicted), compared(variable, reference))
+    return {name: _error(name, *pair) for name, pair in _pairs(predicted, cases).items()}
 
 
 def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
@@ -71,17 +79,41 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Index ``geometry`` and ``waveform``, a column for each variable; the last row,
-        labeled ``("pooled", "pooled")``, is over all cases.
+        Index ``geometry`` and ``waveform``, a column for each error of :func:`pooled_errors`;
+        the last row, labeled ``("pooled", "pooled")``, is over all cases.
     """
-    over_all = pooled_errors(predicted, cases)
+    pairs = _pairs(predicted, cases)
+    subsets = [*(slice(i, i + 1) for i in range(len(cases))), slice(None)]
     rows = [
-        {name: _error(name, all_[i], getattr(cases, name)[i]) for name, all_ in predicted.items()}
-        for i in range(len(cases))
+        {
+            name: _error(name, values[subset], truth[subset])
+            for name, (values, truth) in pairs.items()
+        }
+        for subset in subsets
     ]
     keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
     index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame([*rows, over_all], index=index)
+    return pd.DataFrame(rows, index=index)
+
+
+def _pairs(predicted: Mapping[str, Array], cases: Cases) -> dict[str, tuple[Array, Array]]:
+    """Return prediction and reference of everything that has an error."""
+    pairs = {}
+    for name, values in predicted.items():
+        truth = getattr(cases, name)
+        _check_shapes(values, truth)
+        pairs[name] = compared(name, values), compared(name, truth)
+    if "pressure" in pairs:
+        ends = measuring_positions(cases.z, cases.area_undeformed)
+        values, truth = pairs["pressure"]
+        for name, quantity in _DERIVED.items():
+            pairs[name] = quantity(values, cases.z, *ends), quantity(truth, cases.z, *ends)
+    return pairs
+
+
+def _error(name: str, values: Array, truth: Array) -> float:
+    """Return a relative error; that of a derived quantity is NaN if the reference is zero."""
+    return float("nan") if name in _DERIVED and not truth.any() else relative_error(values, truth)
 
 
 def pooled(table: pd.DataFrame) -> dict[str, float]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io import predictions
@@ -24,8 +26,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(VesselQuantities):
     """Flow, area and pressure over a cycle along the vessel.
+
+    The pressure drop, the fractional flow reserve and other quantities are methods of
+    :class:`~pcnde_bridge.data.indices.VesselQuantities`, as for :class:`pcnde_bridge.Cases`.
 
     Attributes
     ----------
@@ -80,11 +85,8 @@ class Prediction:
         InputError
             If the prediction has no samples.
         """
-        if self.samples is None:
-            raise InputError(
-                "The prediction has no samples: request some, predict(..., samples=64)."
-            )
-        return {name: values.std(axis=0, ddof=1) for name, values in self.samples.items()}
+        samples = self._given_samples()
+        return {name: values.std(axis=0, ddof=1) for name, values in samples.items()}
 
     def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
         """Return the lower and upper limit of each variable, each of shape (case, time, z).
@@ -102,14 +104,81 @@ class Prediction:
         InputError
             If the level is not between 0 and 1, or there are no samples.
         """
-        if not isinstance(level, Real) or not 0 < level < 1:
-            raise InputError(f"level must lie between 0 and 1, got {level!r}.")
-        factor = NormalDist().inv_cdf((1 + level) / 2)
+        factor = _normal_quantile(level)
         width = {name: factor * values for name, values in self.standard_deviation().items()}
         return {
             name: (values - width[name], values + width[name])
             for name, values in self.variables().items()
         }
+
+    def each_sample(self) -> Iterator[Prediction]:
+        """Return the samples one by one, each as a prediction without samples.
+
+        The samples are joint: flow, area and pressure of a sample belong together, at all
+        points and time points.  The spread of any quantity is the spread of its values over
+        the samples.
+
+        Raises
+        ------
+        InputError
+            If the prediction has no samples.
+
+        Examples
+        --------
+        >>> [s.pressure_drop() for s in prediction.each_sample()]  # doctest: +SKIP
+        """
+        samples = self._given_samples()
+        count = len(samples["flow"])
+        return (
+            replace(self, **{name: values[i] for name, values in samples.items()}, samples=None)
+            for i in range(count)
+        )
+
+    def _given_samples(self) -> Mapping[str, Array]:
+        if self.samples is None:
+            raise InputError(
+                "The prediction has no samples: request some, predict(..., samples=64)."
+            )
+        return self.samples
+
+    def indices(
+        self,
+        proximal: npt.ArrayLike | None = None,
+        distal: npt.ArrayLike | None = None,
+        level: float = 0.9,
+    ) -> pd.DataFrame:
+        """Return hemodynamic indices, one row for each case, with intervals.
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, cm, see :meth:`pressure_drop`.
+        level : float
+            Share of the values that should lie inside the intervals.
+
+        Returns
+        -------
+        DataFrame
+            Columns of :meth:`pcnde_bridge.Cases.indices`.  With samples, each predicted index
+            also has its limits, such as ``ffr_low`` and ``ffr_high``: the index minus and plus
+            the normal quantile times the standard deviation of the index over the samples.
+
+        Raises
+        ------
+        InputError
+            If a position or the level is not usable.
+        """
+        factor = _normal_quantile(level)
+        frame = super().indices(proximal, distal)
+        if self.samples is None:
+            return frame
+        positions = frame["proximal"].to_numpy(), frame["distal"].to_numpy()
+        found = [sample._index_values(*positions) for sample in self.each_sample()]
+        for name in found[0]:
+            width = factor * np.std([values[name] for values in found], axis=0, ddof=1)
+            frame[f"{name}_low"] = frame[name] - width
+            frame[f"{name}_high"] = frame[name] + width
+        return frame
 
     def to_frame(self) -> pd.DataFrame:
         """Return a tidy frame with one row for each case, time point and axial position.
@@ -222,3 +291,10 @@ class Prediction:
             labels=labels,
             check=False,  # a prediction is checked by its inputs
         )
+
+
+def _normal_quantile(level: float) -> float:
+    """Return half the width of a normal interval, in standard deviations."""
+    if not isinstance(level, Real) or not 0 < level < 1:
+        raise InputError(f"level must lie between 0 and 1, got {level!r}.")
+    return NormalDist().inv_cdf((1 + level) / 2)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -
             ("empirical", "Seeley and Young", drops.empirical),
             ("model", "PCNDE", drops.predicted),
         ):
-            style.plot_curves(axis, drops.cases.time, values[rows] / style.MMHG, method, label)
+            style.plot_curves(axis, drops.cases.time, values[rows] / MMHG, method, label)
         axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied}", loc="left")
         axis.set_xlabel(style.TIME_LABEL)
     axes[0, 0].set_ylabel("pressure drop Δp (mmHg)")

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,9 +35,6 @@ LINE_STYLES: dict[str, dict[str, Any]] = {
 
 VALUE_COLORS, ERROR_COLORS = "viridis", "Blues"
 """Color maps of values and of errors; their lightness changes evenly."""
-
-MMHG = 1333.22
-"""1 mmHg in dyn/cm²."""
 
 TIME_LABEL, SPACE_LABEL = "time t (s)", "position z (cm)"
 """Axis labels."""

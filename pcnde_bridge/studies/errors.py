@@ -37,7 +37,7 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     table = error_table(predicted, cases).drop(index=(POOLED, POOLED))
     return {
         str(name): table[name].unstack("waveform").sort_index().sort_index(axis=1)
-        for name in table.columns
+        for name in predicted
     }
 
 

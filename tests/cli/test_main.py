@@ -261,13 +261,14 @@ def test_evaluate(folder, tmp_path, run, small_model, small_cases, small_split):
     split = small_cases.split(small_split)
     assert list(found) == ["train", "test"]
     table = read_frame(as_csv)
-    assert list(table.columns) == ["set", "geometry", "waveform", "flow", "area", "pressure"]
+    errors = ["flow", "area", "pressure", "pressure_drop", "one_minus_ffr"]
+    assert list(table.columns) == ["set", "geometry", "waveform", *errors]
     assert len(table) == 11 + 1 + 1 + 1
     for name, cases in split._asdict().items():
         expected = small_model.evaluate(cases)
         assert found[name] == expected.iloc[-1].to_dict()
         rows = table[table["set"] == name]
-        assert np.array_equal(rows[["flow", "area", "pressure"]], expected)
+        assert np.array_equal(rows[errors], expected)
         assert list(rows["geometry"]) == [str(g) for g, _ in expected.index]
         for value in found[name].values():
             assert f"{value:.4f}" in printed

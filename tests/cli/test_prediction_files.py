@@ -43,6 +43,27 @@ def test_predict_writes_centerlines(small_cases, model, inputs, tmp_path, run_pc
     assert np.array_equal(found.flow, expected.flow)
 
 
+@pytest.mark.parametrize("out", ["p.csv", "p.npz"])
+def test_predict_writes_indices(small_cases, model, inputs, tmp_path, run_pcnde, out):
+    table = tmp_path / "indices.csv"
+    paths = "--out", tmp_path / out, "--indices", table
+    code, printed, _ = run_pcnde("predict", "model.npz", *inputs, *paths)
+    assert code == 0
+    assert f"indices in {table}" in printed
+    found = pd.read_csv(table)
+    prediction = model.predict(small_cases.inflow[:2], small_cases.area_undeformed[:2])
+    expected = prediction.indices()
+    assert list(found["name"]) == ["a", "b"]
+    for name in ("proximal", "distal", "mean_drop_mmHg", "ffr", "resistance"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-12)
+    code, _, err = run_pcnde(
+        "predict", "model.npz", *inputs, "--out", tmp_path / "q.csv", "--indices",
+        tmp_path / "q.csv",
+    )  # fmt: skip
+    assert code == 2
+    assert "is named twice" in err
+
+
 def test_predict_rejects_unwritable_files_before_computing(
     model, inputs, tmp_path, run_pcnde, monkeypatch
 ):

@@ -52,7 +52,8 @@ def test_bench_of_a_baseline(sets):
     baseline = Perfect()
     row = bench_baseline("perfect", baseline, sets)
     assert baseline.asked[:3] == [("fit", 11), ("predict", 11), ("predict", 1)]
-    assert row.errors == {name: dict.fromkeys(VARIABLES, 0.0) for name in ("train", "test")}
+    columns = [*VARIABLES, "pressure_drop", "one_minus_ffr"]
+    assert row.errors == {name: dict.fromkeys(columns, 0.0) for name in ("train", "test")}
     assert row.fit_seconds >= 0
     assert row.predict_ms_per_case >= 0
     assert row.reason is None

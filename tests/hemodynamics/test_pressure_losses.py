@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
+from pcnde_bridge.data.indices import diameter, reynolds_number
 from pcnde_bridge.hemodynamics.pressure_losses import (
-    diameter,
     effective_length,
     pressure_drop,
-    reynolds_number,
     turbulent_drop,
+    unsteady_pressure_drop,
     viscous_coefficient,
     viscous_drop,
 )
@@ -70,3 +70,15 @@ def test_same_and_differentiable_on_jax_arrays():
 
 def test_effective_length():
     assert effective_length(10.0, 5.0) == pytest.approx(8.3 + 1.64 * math.sqrt(20 / math.pi))
+
+
+def test_young_and_tsai():
+    """The published formula to the letter, with its coefficients."""
+    flow, rate = FLOW, np.array([30.0, -10.0, 0.0, 5.0])
+    d0, ds = 0.4, 0.2
+    k_v = 32 * (0.83 * LENGTH + 1.64 * ds) / d0 * (HEALTHY / THROAT) ** 2
+    viscous = k_v * 0.04 / d0 * flow / HEALTHY
+    turbulent = 1.52 * 1.06 / 2 * (HEALTHY / THROAT - 1) ** 2 * flow * abs(flow) / HEALTHY**2
+    inertial = 1.2 * 1.06 * LENGTH * rate / HEALTHY
+    found = unsteady_pressure_drop(flow, rate, HEALTHY, THROAT, LENGTH)
+    np.testing.assert_allclose(found, viscous + turbulent + inertial, rtol=1e-13)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcnde_bridge import InputError
+from pcnde_bridge import Cases, InputError
 from pcnde_bridge.model.metrics import (
     AREA_MARGIN,
     compared,
@@ -14,6 +14,8 @@ from pcnde_bridge.model.metrics import (
     pooled_errors,
     relative_error,
 )
+
+COLUMNS = ["flow", "area", "pressure", "pressure_drop", "one_minus_ffr"]
 
 
 def by_hand(predicted, truth):
@@ -63,7 +65,7 @@ def test_a_short_vessel_keeps_its_area():
 
 def test_table_by_hand(small_cases, predicted):
     table = error_table(predicted, small_cases)
-    assert list(table.columns) == ["flow", "area", "pressure"]
+    assert list(table.columns) == COLUMNS
     assert table.index.names == ["geometry", "waveform"]
     expected_keys = [(g, w) for g in (1, 2, 3) for w in range(4)]
     assert list(table.index) == [*expected_keys, ("pooled", "pooled")]
@@ -91,7 +93,7 @@ def test_pooled_is_not_the_mean_of_the_cases(small_cases):
 def test_pooled_errors_of_a_table(small_cases, predicted):
     found = pooled(error_table(predicted, small_cases))
     assert found == pooled_errors(predicted, small_cases)
-    assert list(found) == ["flow", "area", "pressure"]
+    assert list(found) == COLUMNS
     assert {type(value) for value in found.values()} == {float}
 
 
@@ -106,3 +108,28 @@ def test_errors(small_cases, predicted):
             error_table(wrong, part)
     with pytest.raises(InputError, match="Cannot compare"):
         pooled_errors({"flow": predicted["flow"][:, :-1]}, small_cases)
+
+
+def test_errors_of_the_drop_and_of_ffr_by_hand(small_cases):
+    wrong = small_cases.pressure + 1e3 * (small_cases.z < 1.9)
+    table = error_table({"pressure": wrong}, small_cases)
+    drop, ffr = small_cases.pressure_drop(), small_cases.ffr()
+    mean_drop = drop.mean(axis=1)
+    predicted = 1 - (mean_drop + 1e3) / (mean_drop / (1 - ffr) + 1e3)
+    for i in range(12):
+        assert table["pressure_drop"].iloc[i] == pytest.approx(by_hand(drop[i] + 1e3, drop[i]))
+        expected = abs(predicted[i] - ffr[i]) / (1 - ffr[i])
+        assert table["one_minus_ffr"].iloc[i] == pytest.approx(expected)
+    assert table["pressure_drop"].iloc[-1] == pytest.approx(by_hand(drop + 1e3, drop))
+    assert table["one_minus_ffr"].iloc[-1] == pytest.approx(by_hand(1 - predicted, 1 - ffr))
+    assert list(pooled_errors({"flow": small_cases.flow}, small_cases)) == ["flow"]
+
+
+def test_without_a_drop_there_is_no_relative_error_of_it(small_cases):
+    flat = Cases(
+        small_cases.flow, small_cases.area, np.full_like(small_cases.pressure, 1e5),
+        small_cases.area_undeformed, small_cases.time, small_cases.z,
+    )  # fmt: skip
+    found = pooled_errors({"pressure": flat.pressure}, flat)
+    assert found["pressure"] == 0.0
+    assert np.isnan([found["pressure_drop"], found["one_minus_ffr"]]).all()

@@ -1,0 +1,419 @@
+"""Pressure drop, fractional flow reserve and other quantities along a vessel.
+
+Data sets and predictions share them through :class:`VesselQuantities`, so that reference
+and prediction are computed by the same code.  Arrays are (..., time, z), units are CGS.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import real_array
+from pcnde_bridge.data.units import FACTORS
+from pcnde_bridge.errors import InputError
+
+NO_STENOSIS = 0.99
+"""Smallest S_u over the healthy area, above which a vessel counts as one without a stenosis."""
+
+_HEALTHY = 0.999  # share of the healthy area that is reached at the end of a narrowing
+
+
+def diameter(area: Any) -> Any:
+    """Return the diameter of a circle, cm, of an area in cm²; numpy or JAX array."""
+    return (4.0 / math.pi * area) ** 0.5
+
+
+def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: float = 0.04) -> Any:
+    """Return the Reynolds number of the mean velocity and the diameter, ρ·|Q|·D/(S·μ).
+
+    Parameters
+    ----------
+    flow, area : array, shape (...)
+        Q (mL/s) and S (cm²); numpy or JAX arrays.
+    density, viscosity : float
+        ρ (g/cm³) and μ (poise).
+    """
+    return density * abs(flow) * diameter(area) / (area * viscosity)
+
+
+def healthy_area(z: Array, area_undeformed: Array) -> Array:
+    """Return the area without a stenosis, cm²: an even taper a·exp(b·z) from end to end.
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+    share = (z - z[0]) / (z[-1] - z[0])
+    first, last = np.log(area_undeformed[:, :1]), np.log(area_undeformed[:, -1:])
+    return np.asarray(np.exp(first + share * (last - first)))
+
+
+def throats(z: Array, area_undeformed: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the point of the narrowest stenosis, and its S_u over the healthy area.
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+
+    Returns
+    -------
+    points : array of int, shape (case,)
+        Points at which S_u is smallest relative to :func:`healthy_area`.
+    ratios : array of shape (case,)
+        S_u over the healthy area there; above :data:`NO_STENOSIS` there is no stenosis.
+    """
+    ratio = area_undeformed / healthy_area(z, area_undeformed)
+    return ratio.argmin(axis=1), ratio.min(axis=1)
+
+
+def measuring_positions(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
+    """Return the positions between which the drop of the narrowest stenosis is taken, cm.
+
+    A narrowing reaches from its throat to the first point on either side with at least
+    99.9 % of :func:`healthy_area`.  The positions are one healthy diameter beyond its ends,
+    but within the vessel.  In a vessel without a stenosis, they are the vessel's ends.
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+
+    Returns
+    -------
+    proximal, distal : array of shape (case,)
+        Positions upstream and downstream of the stenosis.
+    """
+    healthy = healthy_area(z, area_undeformed)
+    points, ratios = throats(z, area_undeformed)
+    proximal, distal = np.full(len(points), z[0]), np.full(len(points), z[-1])
+    for case in np.flatnonzero(ratios <= NO_STENOSIS):
+        throat = points[case]
+        outside = np.flatnonzero(area_undeformed[case] >= _HEALTHY * healthy[case])
+        margin = diameter(healthy[case, throat])
+        # The end points of the vessel are always outside.
+        proximal[case] = max(z[0], z[outside[outside < throat][-1]] - margin)
+        distal[case] = min(z[-1], z[outside[outside > throat][0]] + margin)
+    return proximal, distal
+
+
+def values_at(values: Array, z: Array, position: Array) -> Array:
+    """Interpolate values linearly in z.
+
+    Parameters
+    ----------
+    values : array of shape (case, time, z)
+        Values at the points.
+    z : array of shape (z,)
+        Points, cm.
+    position : array of shape (case,)
+        One position for each case, cm.
+
+    Returns
+    -------
+    array of shape (case, time)
+    """
+    left = np.clip(np.searchsorted(z, position, side="right") - 1, 0, len(z) - 2)
+    share = ((position - z[left]) / (z[left + 1] - z[left]))[:, None]
+    case = np.arange(len(values))
+    return np.asarray((1 - share) * values[case, :, left] + share * values[case, :, left + 1])
+
+
+def pressure_drop(pressure: Array, z: Array, proximal: Array, distal: Array) -> Array:
+    """Return the drop p(proximal) − p(distal), dyn/cm², shape (case, time).
+
+    Parameters
+    ----------
+    pressure : array of shape (case, time, z)
+        p, dyn/cm².
+    z : array of shape (z,)
+        Points, cm.
+    proximal, distal : array of shape (case,)
+        Positions, cm.
+    """
+    return values_at(pressure, z, proximal) - values_at(pressure, z, distal)
+
+
+def one_minus_ffr(pressure: Array, z: Array, proximal: Array, distal: Array) -> Array:
+    """Return 1 − FFR, the mean drop over the mean p(proximal), shape (case,).
+
+    Parameters
+    ----------
+    pressure, z, proximal, distal
+        See :func:`pressure_drop`.
+    """
+    mean_drop = pressure_drop(pressure, z, proximal, distal).mean(axis=1)
+    return np.asarray(mean_drop / values_at(pressure, z, proximal).mean(axis=1))
+
+
+class VesselQuantities:
+    """Quantities that follow from flow, area and pressure along vessels.
+
+    Positions ``proximal`` and ``distal`` are axial positions in cm: a number, or one for each
+    case.  Between points, values are interpolated linearly.  By default the positions are
+    those of :func:`~pcnde_bridge.data.indices.measuring_positions`: one healthy diameter
+    beyond either end of the narrowest stenosis, or the ends of a vessel without a stenosis.
+    """
+
+    if TYPE_CHECKING:  # arrays of the data set or prediction
+        flow: Array
+        area: Array
+        pressure: Array | None
+        area_undeformed: Array
+        z: Array
+
+        @property
+        def labels(self) -> pd.DataFrame:
+            """Labels, one row for each case."""
+
+    def pressure_drop(
+        self,
+        proximal: npt.ArrayLike | None = None,
+        distal: npt.ArrayLike | None = None,
+        units: str = "dyn/cm^2",
+    ) -> Array:
+        """Return the pressure drop between two positions, p(proximal) − p(distal).
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, cm; by default on either side of the narrowest stenosis, see
+            :func:`~pcnde_bridge.data.indices.measuring_positions`.
+        units : {'dyn/cm^2', 'Pa', 'kPa', 'mmHg'}
+            Unit of the result; 1 mmHg is 1333.22 dyn/cm².
+
+        Returns
+        -------
+        array of shape (case, time)
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a position or the unit is not usable.
+        """
+        if units not in FACTORS["pressure"]:
+            raise InputError(f"Unknown units {units!r}; use one of {list(FACTORS['pressure'])}.")
+        positions = self._positions(proximal, distal)
+        drop = pressure_drop(self._given_pressure(), self.z, *positions)
+        return np.asarray(drop / FACTORS["pressure"][units])
+
+    def ffr(
+        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
+    ) -> Array:
+        """Return the fractional flow reserve, the ratio of the mean pressures over a cycle.
+
+        It is p̄(distal)/p̄(proximal), dimensionless, after Pijls et al. (1996, New England
+        Journal of Medicine 334:1703).  By definition it applies to maximal (hyperemic) flow;
+        for another flow the same ratio is returned.
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, see :meth:`pressure_drop`.
+
+        Returns
+        -------
+        array of shape (case,)
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a position is not usable.
+        """
+        positions = self._positions(proximal, distal)
+        return np.asarray(1 - one_minus_ffr(self._given_pressure(), self.z, *positions))
+
+    def pressure_ratio(
+        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
+    ) -> Array:
+        """Return the instantaneous pressure ratio p(distal)/p(proximal), dimensionless.
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, see :meth:`pressure_drop`.
+
+        Returns
+        -------
+        array of shape (case, time)
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a position is not usable.
+        """
+        pressure = self._given_pressure()
+        upstream, downstream = (
+            values_at(pressure, self.z, position) for position in self._positions(proximal, distal)
+        )
+        return np.asarray(downstream / upstream)
+
+    def stenosis_resistance(
+        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
+    ) -> Array:
+        """Return the transstenotic resistance, mean pressure drop over mean flow, dyn·s/cm⁵.
+
+        The flow is that at the proximal position; both means are over a cycle.
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, see :meth:`pressure_drop`.
+
+        Returns
+        -------
+        array of shape (case,)
+
+        Raises
+        ------
+        InputError
+            If there is no pressure, or a position is not usable.
+        """
+        drop = self.pressure_drop(proximal, distal).mean(axis=1)
+        position = self._positions(proximal, distal)[0]
+        return np.asarray(drop / values_at(self.flow, self.z, position).mean(axis=1))
+
+    def velocity(self) -> Array:
+        """Return the mean velocity over the cross-section, Q/S, cm/s, (case, time, z)."""
+        return np.asarray(self.flow / self.area)
+
+    def reynolds(self, density: float = 1.06, viscosity: float = 0.04) -> Array:
+        """Return the Reynolds number ρ·|Q|·D/(S·μ) of the local diameter D.
+
+        Parameters
+        ----------
+        density, viscosity : float
+            ρ (g/cm³) and μ (poise).
+
+        Returns
+        -------
+        array of shape (case, time, z)
+        """
+        return np.asarray(reynolds_number(self.flow, self.area, density, viscosity))
+
+    def poiseuille_wall_shear_stress(self, viscosity: float = 0.04) -> Array:
+        """Return Poiseuille's wall shear stress 4·μ·Q/(π·r³), dyn/cm².
+
+        It holds for steady, developed flow in a straight tube.  In a stenosis the wall shear
+        stress is several times larger.
+
+        Parameters
+        ----------
+        viscosity : float
+            μ, poise.
+
+        Returns
+        -------
+        array of shape (case, time, z)
+        """
+        radius = diameter(self.area) / 2
+        return np.asarray(4 * viscosity * self.flow / (math.pi * radius**3))
+
+    def indices(
+        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
+    ) -> pd.DataFrame:
+        """Return hemodynamic indices, one row for each case.
+
+        Parameters
+        ----------
+        proximal, distal : float or array of shape (case,), optional
+            Positions, see :meth:`pressure_drop`.
+
+        Returns
+        -------
+        DataFrame
+            Columns of the labels; ``blockage`` (1 − smallest S_u over S_u at the inlet, unless
+            it is a label); ``positions``: "stenosis", "whole vessel" (there is no stenosis) or
+            "given"; ``proximal`` and ``distal`` (cm); ``mean_flow`` and ``peak_flow`` at the
+            proximal position (mL/s); ``peak_velocity`` (cm/s) and ``peak_reynolds``, the
+            largest along the vessel; and, if there is a pressure, ``mean_drop_mmHg`` and
+            ``peak_drop_mmHg`` (see :meth:`pressure_drop`), ``ffr`` (:meth:`ffr`) and
+            ``resistance`` (dyn·s/cm⁵, :meth:`stenosis_resistance`).
+
+        Raises
+        ------
+        InputError
+            If a position is not usable.
+        """
+        upstream, downstream = self._positions(proximal, distal)
+        frame = self.labels.reset_index(drop=True)
+        if "blockage" not in frame:
+            frame["blockage"] = 1 - self.area_undeformed.min(axis=1) / self.area_undeformed[:, 0]
+        _, ratios = throats(self.z, self.area_undeformed)
+        found = np.where(ratios <= NO_STENOSIS, "stenosis", "whole vessel")
+        given = proximal is not None or distal is not None
+        frame["positions"] = "given" if given else found
+        frame["proximal"], frame["distal"] = upstream, downstream
+        return frame.assign(**self._index_values(upstream, downstream))
+
+    def _index_values(self, proximal: Array, distal: Array) -> dict[str, Array]:
+        """Return the columns of :meth:`indices` that depend on the samples, each (case,)."""
+        flow = values_at(self.flow, self.z, proximal)
+        found = {
+            "mean_flow": flow.mean(axis=1),
+            "peak_flow": flow.max(axis=1),
+            "peak_velocity": self.velocity().max(axis=(1, 2)),
+            "peak_reynolds": self.reynolds().max(axis=(1, 2)),
+        }
+        if self.pressure is not None:
+            drop = self.pressure_drop(proximal, distal, "mmHg")
+            found |= {
+                "mean_drop_mmHg": drop.mean(axis=1),
+                "peak_drop_mmHg": drop.max(axis=1),
+                "ffr": self.ffr(proximal, distal),
+                "resistance": self.stenosis_resistance(proximal, distal),
+            }
+        return found
+
+    def _given_pressure(self) -> Array:
+        if self.pressure is None:
+            raise InputError("There is no pressure: the model has no pressure stages.")
+        return self.pressure
+
+    def _positions(
+        self, proximal: npt.ArrayLike | None, distal: npt.ArrayLike | None
+    ) -> tuple[Array, Array]:
+        """Return the positions of every case, (case,): those given, else the default."""
+        upstream, downstream = measuring_positions(self.z, self.area_undeformed)
+        if proximal is not None:
+            upstream = _checked_position("proximal", proximal, len(self.flow), self.z)
+        if distal is not None:
+            downstream = _checked_position("distal", distal, len(self.flow), self.z)
+        if (wrong := np.flatnonzero(upstream >= downstream)).size:
+            case = int(wrong[0])
+            raise InputError(
+                f"proximal ({upstream[case]:g} cm) must lie upstream of distal "
+                f"({downstream[case]:g} cm) in case {case}; exchange them, or give both."
+            )
+        return upstream, downstream
+
+
+def _checked_position(name: str, given: npt.ArrayLike, count: int, z: Array) -> Array:
+    """Return a position for each case, within the vessel."""
+    position = real_array(name, given)
+    if position.shape not in ((), (count,)):
+        raise InputError(
+            f"{name} must be a position in cm, or one for each of the {count} cases; it has "
+            f"shape {position.shape}."
+        )
+    tolerance = 1e-9 * (z[-1] - z[0])
+    outside = ~((position >= z[0] - tolerance) & (position <= z[-1] + tolerance))
+    if outside.any():
+        raise InputError(
+            f"{name} is {position[outside].flat[0]:g} cm, but the vessel reaches from {z[0]:g} to "
+            f"{z[-1]:g} cm."
+        )
+    return np.broadcast_to(np.clip(position, z[0], z[-1]), (count,))
