@@ -108,11 +108,15 @@ def download(
     say(f"The data set is in {download_published(folder)}.")
 
 
-def doctor() -> None:
+def doctor(
+    load: Annotated[
+        bool, option("--load", help="Load Julia even if it must be compiled first (minutes).")
+    ] = False,
+) -> None:
     """Check engines and data on this machine and suggest fixes."""
     from pcnde_bridge.cli.doctor import examine
 
-    findings = examine()
+    findings = examine(load)
     say(f"pcnde_bridge {__version__}")
     for finding in findings:
         mark, style = ("✓", "green") if finding.good else ("–", "yellow")

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from pcnde_bridge.engines.julia.environment import julia_status
+from pcnde_bridge.engines.julia.runtime import load_error
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.io.datasets import find_published
 
@@ -32,10 +33,17 @@ class Finding(NamedTuple):
     is_engine: bool = False
 
 
-def examine() -> list[Finding]:
-    """Check everything without starting an engine."""
+def examine(load: bool = False) -> list[Finding]:
+    """Check everything; engines are not started in this process.
+
+    Parameters
+    ----------
+    load : bool
+        Whether to load Julia's packages in another process even if they are not precompiled,
+        which takes minutes; precompiled packages are always loaded.
+    """
     python = Finding("Python", f"{platform.python_version()} on {platform.machine()}")
-    return [python, _jax(), _julia(), _data()]
+    return [python, _jax(), _julia(load), _data()]
 
 
 def _jax() -> Finding:
@@ -48,7 +56,7 @@ def _jax() -> Finding:
     return Finding("engine jax", found, is_engine=True)
 
 
-def _julia() -> Finding:
+def _julia(load: bool) -> Finding:
     status = julia_status()
     if not status.usable:
         return Finding("engine julia", "not usable", status.message, False, True)
@@ -60,8 +68,13 @@ def _julia() -> Finding:
         "offline" if status.offline else "online",
         f"threads {status.threads}, handles signals: {status.handle_signals}",
     ]
-    found = "; ".join(fact for fact in facts if fact)
-    return Finding("engine julia", found, status.warning, is_engine=True)
+    found, advice = "; ".join(fact for fact in facts if fact), status.warning
+    if status.source != "running" and (load or status.precompiled):
+        if error := load_error(timeout=None if load else 120):
+            return Finding("engine julia", f"does not load; {found}", error, False, True)
+    elif not status.precompiled:
+        advice = advice or "pcnde doctor --load compiles the packages now and reports errors"
+    return Finding("engine julia", found, advice, is_engine=True)
 
 
 def _data() -> Finding:

@@ -102,11 +102,19 @@ def test_errors_have_no_traceback(folder, tmp_path):
     assert result.stdout == ""
 
 
+# A doctor in another process would load Julia, which may have to be compiled first.
+WITHOUT_JULIA = dict.fromkeys(("PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"), "absent")
+
+
 def test_a_closed_pipe_is_not_an_error(folder):
     """``pcnde … | head -0``: no traceback, and nothing at the interpreter's exit."""
     code = "import sys, pcnde_bridge.cli.main as c; sys.argv = ['pcnde', 'doctor']; c.main()"
     child = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        env=os.environ | WITHOUT_JULIA,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     child.stdout.close()
     err = child.stderr.read()
@@ -448,6 +456,12 @@ def test_a_failure_of_the_engine_is_exit_code_1(folder, run, monkeypatch):
     assert "Error: [bold]The equation[/bold] diverged." in err
 
 
+@pytest.fixture(autouse=True)
+def julia_is_not_loaded(monkeypatch):
+    """Julia may have to be compiled first, which takes minutes."""
+    monkeypatch.setattr("pcnde_bridge.cli.doctor.load_error", lambda timeout: "")
+
+
 def test_doctor(run, monkeypatch):
     code, printed, _ = run("doctor")
     assert code == 0
@@ -468,7 +482,7 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
 
 def test_doctor_without_an_engine_fails(run, monkeypatch):
     bad = Finding("engine jax", "jax missing", "pip install jax", good=False, is_engine=True)
-    monkeypatch.setattr("pcnde_bridge.cli.doctor.examine", lambda: [Finding("Python", "3"), bad])
+    monkeypatch.setattr("pcnde_bridge.cli.doctor.examine", lambda load: [Finding("Python", "3"), bad])
     code, printed, err = run("doctor")
     assert code == 1
     assert "pip install jax" in printed
@@ -578,7 +592,7 @@ def test_the_script_is_installed():
 
 
 def test_characters_that_the_console_cannot_write_are_replaced():
-    result = process("doctor", env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    result = process("doctor", env=os.environ | WITHOUT_JULIA | {"PYTHONIOENCODING": "ascii"})
     assert "Traceback" not in result.stderr
     assert "Python" in result.stdout
 

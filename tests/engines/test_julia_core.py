@@ -12,7 +12,7 @@ from pcnde_bridge.engines.julia.environment import julia_status
 
 pytestmark = pytest.mark.julia
 
-# Of the checkout: an installed package has no tests with it.
+# Tests of the checkout: an installed package does not contain them.
 _TESTS = Path(__file__).parents[2] / "julia" / "PCNDECore" / "test" / "runtests.jl"
 
 
@@ -39,12 +39,12 @@ def test_julias_own_tests_pass():
 
 _ONE_CASE_FAILS = """
 include(ARGS[1])
-for failing in 1:20  # whichever thread has it
+for failing in 1:20  # in either thread
     done = Threads.Atomic{Int}(0)
     try
-        over_cases(40) do parts
-            for part in parts
-                part == failing:failing && error("fails")
+        threaded_batches(40) do batches
+            for batch in batches
+                batch == failing:failing && error("fails")
                 began = time()
                 while time() - began < 0.001
                 end
@@ -70,7 +70,7 @@ def test_no_thread_writes_on_after_another_failed():
             "--threads=2",
             "-e",
             _ONE_CASE_FAILS,
-            str(_TESTS.parents[1] / "src" / "over_cases.jl"),
+            str(_TESTS.parents[1] / "src" / "threading.jl"),
         ],
         env={**status.environment, **os.environ},
         capture_output=True,

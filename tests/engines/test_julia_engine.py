@@ -203,14 +203,44 @@ def test_variables_come_before_the_file(bare, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"), [("julia version 1.6.7", "too old"), ("hello", "does not run as Julia")]
+    ("answer", "message"),
+    [
+        ("julia version 1.6.7", "too old"),
+        ("julia version 1.10.2", r"too old: 1\.10\.3 or newer"),
+        ("hello", "does not run as Julia"),
+    ],
 )
 def test_a_wrong_julia_is_refused(bare, answer, message):
     settings_file(executable=str(fake_julia(bare, answer)), project=str(bare))
     status = julia_status()
-    assert not status.usable and message in status.message
+    assert not status.usable and re.search(message, status.message)
     with pytest.raises(EngineUnavailableError, match=message):
         runtime.start()
+
+
+def test_the_variables_of_the_users_file_count(bare, monkeypatch):
+    program, project = fake_julia(bare), fake_project(bare, "PCNDECore", "PythonCall")
+    variables = {"JULIA_PKG_OFFLINE": "true", "JULIA_NUM_THREADS": "2"}
+    settings_file(executable=str(program), project=str(project), environment=variables)
+    status = julia_status()
+    assert status.offline and (status.threads, status.handle_signals) == ("2", "yes")
+    (finding,) = (f for f in examine() if f.what == "engine julia")
+    assert "; offline; threads 2" in finding.found and "--load" in finding.advice
+    # Variables that are set already take precedence.
+    monkeypatch.setenv("JULIA_PKG_OFFLINE", "false")
+    assert not julia_status().offline
+
+
+def test_the_doctor_sees_that_julia_does_not_load(bare):
+    program, project = fake_julia(bare), fake_project(bare, "PCNDECore", "PythonCall")
+    depot = {"JULIA_DEPOT_PATH": str(bare)}
+    settings_file(executable=str(program), project=str(project), environment=depot)
+    cache = bare / "compiled" / "v1.10" / "PCNDECore"
+    cache.mkdir(parents=True)
+    (cache / "x.ji").touch()
+    (finding,) = (f for f in examine() if f.what == "engine julia")
+    assert not finding.good and finding.found.startswith("does not load")
+    assert "Julia did not start" in finding.advice
 
 
 def test_a_missing_julia_is_named(bare):

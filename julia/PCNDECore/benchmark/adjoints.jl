@@ -1,9 +1,9 @@
-# How the gradient of the flow loss was chosen: our discrete adjoint beside the suite's
-# own ways, on one batch of the paper's size (12 cases, 100 instants, 101 points).
+# Comparison of PCNDECore's discrete adjoint with the adjoints of SciMLSensitivity, on one batch
+# of the paper's size (12 cases, 100 time points, 101 points).
 #
-# ForwardDiffSensitivity is left out: with 2724 parameters one gradient takes minutes.
-# Needs SciMLSensitivity and Zygote in the environment, which PCNDECore
-# itself does not: julia --project=… benchmark/adjoints.jl
+# ForwardDiffSensitivity is not included: with 2724 parameters, one gradient takes minutes.
+# The environment needs SciMLSensitivity and Zygote in addition to PCNDECore:
+# julia --project=… benchmark/adjoints.jl
 
 using PCNDECore
 using PCNDECore: FlowProblem, FlowStage, StepControl, value!, value_and_gradient!
@@ -14,17 +14,18 @@ using Random: MersenneTwister
 using SciMLBase: solve
 
 """
-The network as a plain function of a flat parameter vector, for automatic differentiation.
+Evaluate the network as a plain function of a flat parameter vector, for automatic
+differentiation.
 """
 function network(p, q, s, widths)
-    at, x = 0, q
+    offset, x = 0, q
     for i in 1:(length(widths) - 1)
         n_in, n_out = widths[i], widths[i + 1]
-        weight = reshape(p[(at + 1):(at + n_in * n_out)], n_out, n_in)
-        at += n_in * n_out
-        bias = p[(at + 1):(at + n_out)]
-        at += n_out
-        # Flow and area apart: ReverseDiff does not stack what it tracks and what it does not.
+        weight = reshape(p[(offset + 1):(offset + n_in * n_out)], n_out, n_in)
+        offset += n_in * n_out
+        bias = p[(offset + 1):(offset + n_out)]
+        offset += n_out
+        # Flow and area are separate: ReverseDiff cannot stack tracked and untracked arrays.
         n = size(q, 1)
         x =
             i > 1 ? weight * x .+ bias :
@@ -39,13 +40,14 @@ end
 """
     compare(inflow, area, target, z, parameters; stage = FlowStage())
 
-Print the time and the deviation of each way to the gradient; arrays as of `FlowProblem`.
+Print the time of each gradient and its difference from ours; the arrays are those of
+`FlowProblem`.
 """
 function compare(inflow, area, target, z, parameters; stage = FlowStage())
     n_times = size(inflow, 1)
     widths = [2 * n_times; stage.hidden; n_times]
     truth = reshape(permutedims(target, (2, 3, 1)), :, length(z))
-    # The state is a vector and the position of any type: ReverseDiff needs both.
+    # ReverseDiff needs a vector as state, and a position of any type.
     function f(q, p, position)
         i = clamp(searchsortedlast(z, position), 1, length(z) - 1)
         share = (position - z[i]) / (z[i + 1] - z[i])
@@ -65,7 +67,7 @@ function compare(inflow, area, target, z, parameters; stage = FlowStage())
     reference = similar(parameters)
     value_and_gradient!(reference, problem, parameters)
     report(name, seconds, gradient) = println(
-        rpad(name, 44), lpad(round(1e3 * seconds; sigdigits = 3), 9), " ms   deviation ",
+        rpad(name, 44), lpad(round(1e3 * seconds; sigdigits = 3), 9), " ms   difference ",
         round(norm(gradient - reference) / norm(reference); sigdigits = 2),
     )
     report("loss alone", best(() -> value!(problem, parameters)), reference)
@@ -80,7 +82,7 @@ function compare(inflow, area, target, z, parameters; stage = FlowStage())
         "InterpolatingAdjoint, ReverseDiff" =>
             InterpolatingAdjoint(autojacvec = ReverseDiffVJP()),
         "GaussAdjoint, ReverseDiff" => GaussAdjoint(autojacvec = ReverseDiffVJP()),
-        # Discretise, then optimise: through the solver's own steps.
+        # Discretize, then optimize: through the steps of the solver.
         "ReverseDiffAdjoint" => ReverseDiffAdjoint(),
     )
         try

@@ -1,25 +1,23 @@
 """
-The performance core of `pcnde_bridge`: physics-constrained coupled neural
-differential equations for blood flow in one vessel, after Csala, Mohan, Livescu
-and Arzani (2024).
+Performance core of `pcnde_bridge`: physics-constrained coupled neural differential equations
+for blood flow in one vessel, after Csala, Mohan, Livescu and Arzani (2024).
 
-Five stages, each of which can be solved, judged and fitted:
+Each of the five stages can be solved, evaluated and fitted:
 
 | stage                                    | file                   |
 |:-----------------------------------------|:-----------------------|
 | momentum, a neural ODE in z              | `flow.jl`              |
-| continuity in time, over some cycles     | `intermediate_area.jl` |
+| continuity in time, over several cycles  | `intermediate_area.jl` |
 | periodic area by Fourier series          | `fourier_area.jl`      |
-| pressure from a network, at each instant | `temporal_pressure.jl` |
+| pressure from a network, per time point  | `temporal_pressure.jl` |
 | constant–tanh–constant pressure in z     | `spatial_pressure.jl`  |
 
-and what studies compare with the first: the same with terms of the 1D momentum equation
-beside the network, in `physics_terms.jl`, and the momentum equation in time, in
-`temporal_flow.jl`.
+Studies compare the first stage with two alternatives: `physics_terms.jl` adds terms of the 1D
+momentum equation to the network, and `temporal_flow.jl` integrates the equation in time.
 
-Every array is float64 with the indices (z, time, case), in CGS units; every
-stage's parameters are one flat vector. `predict.jl` runs all stages of a trained model,
-`bridge.jl` holds what Python calls. The preset `physics` has its equations in `closures/`.
+Every array is float64 with the indices (z, time, case), in CGS units. The parameters of each
+stage are one flat vector. `predict.jl` runs all stages of a trained model; `bridge.jl` has the
+functions that Python calls. The equations of the preset `physics` are in `closures/`.
 """
 module PCNDECore
 
@@ -44,15 +42,15 @@ include("network.jl")
 include("step_control.jl")
 include("tableau.jl")
 include("objective.jl")
-include("over_cases.jl")
-include("past_cache.jl")
-include("short_sums.jl")
-include("flow_gradient_room.jl")
+include("threading.jl")
+include("streaming_copy.jl")
+include("thin_matmul.jl")
+include("flow_gradient_workspace.jl")
 include("flow.jl")
 include("flow_gradient.jl")
 include("physics_terms.jl")
 include("temporal_flow.jl")
-include("slope.jl")
+include("derivative_along_z.jl")
 include("linear_area.jl")
 include("intermediate_area.jl")
 include("fourier_area.jl")
@@ -69,6 +67,7 @@ include("closures/losses.jl")
 include("closures/correction.jl")
 include("closures/coupling.jl")
 include("closures/closures.jl")
+include("state.jl")
 include("bridge.jl")
 include("precompile.jl")
 

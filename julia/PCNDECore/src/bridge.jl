@@ -1,63 +1,64 @@
-# What Python calls. Every array has the indices (z, time, case), which in Julia's order
-# is the same memory as Python's (case, time, z).
+# Functions that Python calls. Every array has the indices (z, time, case), which in Julia's
+# order is the same memory as Python's (case, time, z).
 
 """
     config(toml)
 
-Settings from a TOML text with one table per group; names that Julia does not need are
-left out, and what is not given keeps its default.
+Read settings from a TOML text with one table per group. Unknown names are ignored, and missing
+ones have their defaults.
 """
 config(toml::String) = config(Config(), toml)
 
 """
     closure_config(toml)
 
-[`config`](@ref) of the preset `physics`.
+Read the settings of the preset `physics`; see [`config`](@ref).
 """
 closure_config(toml::String) = config(ClosureConfig(), toml)
 
 function config(default::T, toml::String) where {T}
-    given = TOML.parse(toml)
+    values = TOML.parse(toml)
     groups = Any[
-        settings(getfield(default, name), get(given, string(name), Dict{String, Any}()))
+        settings(getfield(default, name), get(values, string(name), Dict{String, Any}()))
         for name in fieldnames(T)
     ]
     return T(groups...)
 end
 
-function settings(default::T, given::Dict{String, Any}) where {T}
-    # Of no particular types, so that the compiler need not wait for what is given.
-    values = Any[get(given, string(name), getfield(default, name)) for name in fieldnames(T)]
-    return T(values...)
+function settings(default::T, values::Dict{String, Any}) where {T}
+    # The element type is Any, so that nothing is compiled for the types of the values.
+    fields = Any[get(values, string(name), getfield(default, name)) for name in fieldnames(T)]
+    return T(fields...)
 end
 
 """
-    of_python(address, shape...)
+    wrap_python_array(address, shape...)
 
-Python's float64 array of that shape itself, in Julia's order of indices; to be used no
-longer than Python keeps it.
+Wrap the memory of a float64 array of Python, with the shape in Julia's order. The result must
+not be used after Python releases the array.
 """
-of_python(address::Int, shape::Int...) = unsafe_wrap(Array, Ptr{Float64}(address), shape)
+wrap_python_array(address::Int, shape::Int...) =
+    unsafe_wrap(Array, Ptr{Float64}(address), shape)
 
 """
-    from_python(address, shape...)
+    copy_python_array(address, shape...)
 
-A copy of [`of_python`](@ref), whose memory does not depend on Python.
+Copy a float64 array of Python into Julia's own memory; see [`wrap_python_array`](@ref).
 """
-from_python(address::Int, shape::Int...) = copy(of_python(address, shape...))
+copy_python_array(address::Int, shape::Int...) = copy(wrap_python_array(address, shape...))
 
 """
     solve(stage, θ, inputs, z, period, config)
 
-A stage's result for every case on its own, (z, time, case).
+Solve a stage, (z, time, case). The result of a case does not depend on the other cases.
 
 # Arguments
 
   - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"`,
     `"spatial_pressure"` or `"temporal_flow"`.
-  - `θ`: parameters, flat vector.
-  - `inputs`: the stage's arrays, in the order of the Python package's `engines.types`.
-  - `z`, `period`: points, cm, and length of the cycle, s.
+  - `θ`: flat parameter vector.
+  - `inputs`: arrays of the stage, in the order of the Python package's `engines.types`.
+  - `z`, `period`: points, cm, and cycle length, s.
   - `config`: a [`Config`](@ref).
 """
 function solve(stage::String, θ, inputs, z, period, config::Config)
@@ -70,8 +71,8 @@ function solve(stage::String, θ, inputs, z, period, config::Config)
     elseif stage == "temporal_flow"
         return solve_temporal_flow(θ, inputs..., period, config.temporal_flow)
     end
-    no_target = zero(first(inputs))
-    return solve(problem(stage, inputs, no_target, z, period, config), θ)
+    zero_target = zero(first(inputs))
+    return solve(problem(stage, inputs, zero_target, z, period, config), θ)
 end
 
 """
@@ -84,26 +85,24 @@ function loss_and_gradient(stage::String, θ, inputs, target, z, period, config:
     return loss_and_gradient(problem(stage, inputs, target, z, period, config), θ)
 end
 
-# The problem that Python evaluates again and again.
-const HELD = Ref{Any}()
-
 """
-    hold(stage, inputs, target, weight, z, period, config)
+    store_objective(stage, inputs, target, weight, z, period, config)
 
-Keep the problem of [`loss_and_gradient`](@ref) for [`held_loss_and_gradient`](@ref), in
-place of the one before; `weight` (case) is that of each case's squares.
+Store the objective of [`loss_and_gradient`](@ref) for [`stored_loss_and_gradient`](@ref); it
+replaces the previous one. `weight` (case) is the weight of each case's squares.
 """
-function hold(stage::String, inputs, target, weight, z, period, config::Config)
-    HELD[] = set_weight!(problem(stage, inputs, target, z, period, config), weight)
+function store_objective(stage::String, inputs, target, weight, z, period, config::Config)
+    objective = problem(stage, inputs, target, z, period, config)
+    STATE.objective = set_weight!(objective, weight)
     return nothing
 end
 
 """
-    held_loss_and_gradient(θ)
+    stored_loss_and_gradient(θ)
 
-[`loss_and_gradient`](@ref) of the problem that is held.
+[`loss_and_gradient`](@ref) of the stored objective.
 """
-held_loss_and_gradient(θ) = loss_and_gradient(HELD[], θ)
+stored_loss_and_gradient(θ) = loss_and_gradient(STATE.objective, θ)
 
 function loss_and_gradient(objective::Objective, θ)
     gradient = similar(θ)
@@ -114,8 +113,8 @@ end
 """
     losses(stage, Θ, inputs, target, z, period, config)
 
-Loss of each of the parameter vectors in the columns of `Θ`, `Inf` where the equation
-cannot be integrated; the other arguments are those of [`loss_and_gradient`](@ref).
+Loss of each parameter vector in the columns of `Θ`; `Inf` where the equation cannot be
+integrated. The other arguments are those of [`loss_and_gradient`](@ref).
 """
 function losses(stage::String, Θ, inputs, target, z, period, config::Config)
     objective = problem(stage, inputs, target, z, period, config)
@@ -125,8 +124,8 @@ end
 """
     fit(stage, θ, inputs, target, z, period, config, iterations, on_iteration)
 
-Minimise [`loss_and_gradient`](@ref) from `θ`: `(parameters, losses, converged,
-message)` as of [`fit`](@ref).
+Minimize [`loss_and_gradient`](@ref) from `θ` and return `(parameters, losses, converged,
+message)`; see [`fit`](@ref).
 """
 function fit(
     stage::String, θ, inputs, target, z, period, config::Config, iterations,
@@ -161,15 +160,15 @@ end
 """
     closure(name, θ, inputs, z, period, config)
 
-`(value, jacobian)` of a closure of the preset `physics` by its parameters `θ`, (z, time,
-case) and (parameter, z, time, case).
+`(value, jacobian)` of a closure of the preset `physics` as a function of its parameters `θ`,
+(z, time, case) and (parameter, z, time, case).
 
 # Arguments
 
   - `name`: `"losses"`, `"area"` or `"flow"`.
-  - `inputs`: arrays in the order of the Python package's `engines.protocol`; the points'
-    positions count from 0.
-  - `z`, `period`: points, cm, and length of the cycle, s.
+  - `inputs`: arrays in the order of the Python package's `engines.protocol`; indices of
+    points start at 0.
+  - `z`, `period`: points, cm, and cycle length, s.
   - `config`: a [`ClosureConfig`](@ref).
 """
 function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
@@ -189,16 +188,16 @@ end
 """
     predict_closures(config, period, numbers...)
 
-[`predict_closures!`](@ref) with Python's own arrays, in the order of that function;
-`numbers` are the address and the shape of each. All come in one call, as handing over an
-array on its own takes as long as a part of a prediction.
+Call [`predict_closures!`](@ref) with arrays in Python's memory, in the order of its
+arguments. `numbers` are the address and the shape of each array; all are passed in one call,
+because passing arrays one by one takes a noticeable share of a prediction's time.
 """
 function predict_closures(config::ClosureConfig, period::Float64, numbers::Int...)
-    at = 0
+    position = 0
     function next(dimensions)
-        address, shape... = numbers[(at + 1):(at + 1 + dimensions)]
-        at += 1 + dimensions
-        return of_python(address, shape...)
+        address, shape... = numbers[(position + 1):(position + 1 + dimensions)]
+        position += 1 + dimensions
+        return wrap_python_array(address, shape...)
     end
     flow, area, pressure = next(3), next(3), next(3)
     parameters = next(1), next(1), next(1), next(1)
@@ -211,7 +210,7 @@ end
 """
     versions()
 
-Versions of Julia and of the packages that compute.
+Versions of Julia, PCNDECore and the numerical packages.
 """
 function versions()
     modules = (OrdinaryDiffEqTsit5 = parentmodule(Tsit5), Lux = Lux, Optim = Optim)

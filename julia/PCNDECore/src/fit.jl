@@ -12,23 +12,24 @@ Base.showerror(io::IO, error::SolveError) = print(io, error.message)
 """
     fit(objective, start, settings, iterations, on_iteration)
 
-Minimise an [`Objective`](@ref) by `Optim.BFGS` with the `BackTracking` line search,
-from a scaled identity as inverse Hessian. Where the line search finds no lower loss, the
-curvature is forgotten and the steepest descent tried once, as newer versions of
-Optim and the package's JAX engine do; Optim 2.0 alone would end the fit. See [`Restarting`](@ref).
+Minimize an [`Objective`](@ref) by `Optim.BFGS` with the `BackTracking` line search, from a
+scaled identity as inverse Hessian. Where the line search finds no lower loss, the inverse
+Hessian is reset and steepest descent is tried once, as newer versions of Optim and the
+package's JAX engine do; Optim 2.0 alone would end the fit. See
+[`RestartingLineSearch`](@ref).
 
 # Arguments
 
   - `start`: flat parameter vector.
   - `settings`: an [`Optimizer`](@ref).
-  - `iterations`: at most so many.
-  - `on_iteration`: called with each iteration's number, from 1, and its loss; what it
-    throws ends the fit and is thrown on.
+  - `iterations`: largest number of iterations.
+  - `on_iteration`: called with each iteration's number, from 1, and its loss. An exception
+    ends the fit and is rethrown.
 
 # Returns
 
-`(; parameters, losses, converged, message)`: the last accepted iterate, the losses at
-the start and after each iteration, and why the fit ended.
+`(; parameters, losses, converged, message)`: the last accepted iterate, the losses at the
+start and after each iteration, and the reason for the end of the fit.
 
 # Throws
 
@@ -47,7 +48,7 @@ function fit(
         (g, x) -> value_and_gradient!(g, objective, x),
         start,
     )
-    record = Record(copy(start), Float64[], on_iteration)
+    record = IterationRecord(copy(start), Float64[], on_iteration)
     search = BackTracking(;
         c_1 = settings.sufficient_decrease,
         ρ_hi = settings.shrink_least,
@@ -57,7 +58,9 @@ function fit(
     )
     inverse_hessian = InverseHessian(1.0, length(start))
     step_norm = settings.initial_step_norm
-    linesearch = Restarting(search, step_norm, differentiable, inverse_hessian, false)
+    linesearch = RestartingLineSearch(
+        search, step_norm, differentiable, inverse_hessian, false,
+    )
     method = BFGS(; linesearch, initial_invH = _ -> reset!(linesearch))
     options = Optim.Options(;
         iterations,
@@ -68,7 +71,7 @@ function fit(
     )
     result = Optim.optimize(differentiable, start, method, options)
     code = Optim.termination_code(result)
-    # Optim calls a failed search, which leaves the loss as it was, converged.
+    # A failed line search leaves the loss unchanged, which Optim reports as convergence.
     converged = code in CONVERGED && !linesearch.failed
     message = get(MESSAGES, code, "loss or gradient not finite")
     linesearch.failed && (message = "line search found no lower loss")
@@ -76,13 +79,13 @@ function fit(
 end
 
 """
-    Restarting(search, step_norm, differentiable, inverse_hessian, failed)
+    RestartingLineSearch(search, step_norm, differentiable, inverse_hessian, failed)
 
-A line search that, where `search` finds no lower loss, resets `inverse_hessian`, which must
-be the optimizer's own, and searches once more along the steepest descent. Like
-[`Record`](@ref), of the same type for every objective.
+Line search that, where `search` finds no lower loss, resets `inverse_hessian`, which must be
+the optimizer's own, and searches once more along steepest descent. Its type is the same for
+every objective, so that Optim is compiled once.
 """
-mutable struct Restarting{L, D}
+mutable struct RestartingLineSearch{L, D}
     const search::L
     const step_norm::Float64
     const differentiable::D
@@ -90,19 +93,19 @@ mutable struct Restarting{L, D}
     failed::Bool
 end
 
-# Optim's arguments; Optim takes the direction `s` as this leaves it.
-function (line::Restarting)(objective, x, s, step, room, loss, slope)
-    found = search(line, objective, x, s, step, room, loss, slope)
-    isnothing(found) || return found
+# The signature is Optim's; Optim uses the direction `s` as it is after this call.
+function (line::RestartingLineSearch)(objective, x, s, step, buffer, loss, slope)
+    accepted = search(line, objective, x, s, step, buffer, loss, slope)
+    isnothing(accepted) || return accepted
     reset!(line)
     s .= .-NLSolversBase.gradient(line.differentiable)
-    found = search(line, objective, x, s, step, room, loss, -dot(s, s))
-    line.failed = isnothing(found)
+    accepted = search(line, objective, x, s, step, buffer, loss, -dot(s, s))
+    line.failed = isnothing(accepted)
     line.failed && throw(LineSearchException("no lower loss", step))
-    return found
+    return accepted
 end
 
-function search(line::Restarting, arguments...)
+function search(line::RestartingLineSearch, arguments...)
     try
         step, loss = line.search(arguments...)
         return isfinite(loss) ? (step, loss) : nothing
@@ -115,10 +118,10 @@ end
 """
     reset!(line)
 
-The inverse Hessian as Optim's `initial_stepnorm` sets it, `step_norm / max|g|`·I at the last
-gradient.
+Set the inverse Hessian to that of Optim's `initial_stepnorm`, `step_norm / max|g|`·I at the
+last gradient.
 """
-function reset!(line::Restarting)
+function reset!(line::RestartingLineSearch)
     gradient = NLSolversBase.gradient(line.differentiable)
     scale = line.step_norm / norm(gradient, Inf)
     line.inverse_hessian .= InverseHessian(scale, length(gradient))
@@ -139,18 +142,18 @@ const MESSAGES = Dict(
 )
 
 """
-    Record(parameters, losses, on_iteration)
+    IterationRecord(parameters, losses, on_iteration)
 
-Optim's callback: keeps the accepted iterates' losses and the last of them, which Optim
-itself leaves when a line search fails, and passes each on.
+Callback that stores the losses of the accepted iterates and the last iterate, which Optim
+discards when a line search fails, and calls `on_iteration`.
 """
-struct Record
+struct IterationRecord
     parameters::Vector{Float64}
     losses::Vector{Float64}
-    on_iteration::Any # of no particular type, so that Optim is compiled once for all
+    on_iteration::Any # of unspecified type, so that Optim is compiled once for all callbacks
 end
 
-function (record::Record)(state)
+function (record::IterationRecord)(state)
     finite = isfinite(state.f_x) && all(isfinite, state.g_x)
     if isempty(record.losses) && !finite
         throw(

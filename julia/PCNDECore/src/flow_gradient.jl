@@ -1,17 +1,17 @@
-# Gradient of the flow loss: discretise, then optimise. The accepted steps are
-# differentiated as they were taken, interpolant included, with their lengths held
-# fixed, so that the gradient is that of the number which the line search sees, not of
-# the exact solution. At the paper's tolerances the two differ by 5e-4.
+# Gradient of the flow loss by a discrete adjoint (discretize, then optimize). The accepted
+# steps and the interpolant are differentiated as they were taken, with fixed step lengths.
+# The gradient is therefore that of the computed loss, which the line search sees, and not
+# that of the exact solution. At the paper's tolerances the two differ by 5e-4.
 #
-# Chosen by measurement (`benchmark/adjoints.jl`; the numbers are in CONTRIBUTING.md): the
-# suite's continuous adjoints take a hundred times as long and more.
+# The choice was measured (`benchmark/adjoints.jl` and the documentation's decision page 004):
+# the continuous adjoints of SciMLSensitivity take a hundred times as long or more.
 
-function make_room!(room::FlowGradientRoom, hidden::Vector{Int}, columns::Int)
-    size(room.inputs, 2) >= columns && return room
-    room.inputs = zeros(size(room.inputs, 1), columns)
-    room.activations = Activations(hidden, columns)
-    room.deltas = [zeros(width, columns) for width in hidden]
-    return room
+function ensure_capacity!(workspace::FlowGradientWorkspace, hidden::Vector{Int}, columns::Int)
+    size(workspace.inputs, 2) >= columns && return workspace
+    workspace.inputs = zeros(size(workspace.inputs, 1), columns)
+    workspace.activations = Activations(hidden, columns)
+    workspace.deltas = [zeros(width, columns) for width in hidden]
+    return workspace
 end
 
 function value_and_gradient!(gradient, problem::FlowProblem, parameters)
@@ -19,186 +19,189 @@ function value_and_gradient!(gradient, problem::FlowProblem, parameters)
         fill!(gradient, NaN)
         return Inf
     end
-    (; network, last, room, inflow, area) = problem
+    (; network, output_map, workspace, inflow, area) = problem
     residual!(problem)
-    residual = weigh!(problem)
-    loss = scale(problem) * dot(residual, residual)
-    rmul!(weigh!(problem), 2 * scale(problem)) # the weight is that of its root twice
-    mul!(room.state_slopes, last', residual)
-    evaluate_again!(problem)
+    residual = apply_weights!(problem)
+    loss = loss_scale(problem) * dot(residual, residual)
+    # The roots of the weights, applied twice, are the weights.
+    rmul!(apply_weights!(problem), 2 * loss_scale(problem))
+    mul!(workspace.grad_states, output_map', residual)
+    reevaluate_stages!(problem)
     fill!(gradient, 0.0)
-    parts = parts_of(gradient, network)
-    through_the_steps!(parts, problem)
+    blocks = layer_blocks(gradient, network)
+    adjoint_steps!(blocks, problem)
 
-    # Parameters, layer by layer, from all evaluations at once.
-    columns = length(room.positions) * size(inflow, 2)
-    first_columns(a) = view(a, :, 1:columns)
-    for layer in 2:(length(parts) - 1)
-        deltas = first_columns(room.deltas[layer])
-        mul!(parts[layer], deltas, first_columns(room.activations.after[layer - 1])')
+    # Gradient of the parameters, layer by layer, from all evaluations at the same time.
+    columns = length(workspace.positions) * size(inflow, 2)
+    used(a) = view(a, :, 1:columns)
+    for layer in 2:(length(blocks) - 1)
+        deltas = used(workspace.deltas[layer])
+        mul!(blocks[layer], deltas, used(workspace.activations.after[layer - 1])')
     end
     n_times = size(inflow, 1)
-    mul!(room.along, first_columns(room.deltas[1]), first_columns(room.inputs)')
-    isnothing(problem.terms) && last_layer!(parts[end], problem)
-    constant = room.constant
-    sum!(reshape(constant, size(constant)..., 1), room.on_grid)
-    by_flow = view(parts[1], :, 1:n_times)
-    mul!(by_flow, room.along, last')
-    mul!(by_flow, constant, inflow', 1.0, 1.0)
-    by_area = view(parts[1], :, (n_times + 1):(2 * n_times))
-    mul!(by_area, reshape(room.on_grid, size(room.on_grid, 1), :), area')
-    sum!(view(parts[1], :, 2 * n_times + 1), constant)
+    mul!(workspace.grad_along, used(workspace.deltas[1]), used(workspace.inputs)')
+    isnothing(problem.terms) && last_layer_gradient!(blocks[end], problem)
+    constant, on_grid = workspace.constant, workspace.grad_on_grid
+    sum!(reshape(constant, size(constant)..., 1), on_grid)
+    flow_block = view(blocks[1], :, 1:n_times)
+    mul!(flow_block, workspace.grad_along, output_map')
+    mul!(flow_block, constant, inflow', 1.0, 1.0)
+    area_block = view(blocks[1], :, (n_times + 1):(2 * n_times))
+    mul!(area_block, reshape(on_grid, size(on_grid, 1), :), area')
+    sum!(view(blocks[1], :, 2 * n_times + 1), constant)
     return loss
 end
 
 """
-    last_layer!(part, problem)
+    last_layer_gradient!(block, problem)
 
-The loss by [W b], which acts in Q = Q_in + [W b]·H and in its product with the first layer.
-With terms it acts in each evaluation; see [`back!`](@ref).
+Gradient with respect to [W b], which enters Q = Q_in + [W b]·H and its product with the
+first layer. With terms, each evaluation contributes instead; see [`evaluation_vjp!`](@ref).
 """
-function last_layer!(part, problem::FlowProblem)
-    (; network, room, states, residual) = problem
+function last_layer_gradient!(block, problem::FlowProblem)
+    (; network, workspace, states, residual) = problem
     from_flow = view(network.matrices[1], :, 1:size(residual, 1))
-    mul!(part, residual, states')
-    mul!(part, from_flow', room.along, 1.0, 1.0)
-    return part
+    mul!(block, residual, states')
+    mul!(block, from_flow', workspace.grad_along, 1.0, 1.0)
+    return block
 end
 
 """
-    parts_of(vector, network)
+    layer_blocks(vector, network)
 
-The layers' matrices `[W b]` as parts of a flat parameter vector.
+Views of a flat parameter vector as the layers' matrices `[W b]`.
 """
-function parts_of(vector::Vector{Float64}, network::Network)
-    at = 0
+function layer_blocks(vector::Vector{Float64}, network::Network)
+    offset = 0
     return map(network.matrices) do matrix
-        part = reshape(view(vector, (at + 1):(at + length(matrix))), size(matrix))
-        at += length(matrix)
-        part
+        block = reshape(view(vector, (offset + 1):(offset + length(matrix))), size(matrix))
+        offset += length(matrix)
+        block
     end
 end
 
 """
-    evaluate_again!(problem)
+    reevaluate_stages!(problem)
 
-Inputs and hidden layers of every evaluation of the network, side by side: the one at
-the inlet, then those of stages 2 … 7 of each step.
+Compute inputs and hidden layers of every evaluation of the network, side by side: first the
+evaluation at the inlet, then stages 2 … 7 of each step.
 """
-function evaluate_again!(problem::FlowProblem)
-    (; stage, rate, room, trajectory, network, z, inflow) = problem
+function reevaluate_stages!(problem::FlowProblem)
+    (; stage, rate, workspace, trajectory, network, z, inflow) = problem
     n_cases = size(inflow, 2)
     evaluations = 6 * trajectory.count + 1
     columns = evaluations * n_cases
-    make_room!(room, stage.hidden, columns)
-    resize!(room.positions, evaluations)
-    flat = reshape(room.inputs, :, size(room.inputs, 2) ÷ n_cases)
+    ensure_capacity!(workspace, stage.hidden, columns)
+    resize!(workspace.positions, evaluations)
+    flat = reshape(workspace.inputs, :, size(workspace.inputs, 2) ÷ n_cases)
     fill!(view(flat, :, 1), 0.0)
-    room.positions[1] = z[1]
+    workspace.positions[1] = z[1]
     for j in 1:(trajectory.count)
-        at = 6 * j - 4 # of stage 2
-        start, length_ = trajectory.starts[j], trajectory.lengths[j]
-        stages = view(flat, :, at:(at + 5))
+        second = 6 * j - 4 # number of stage 2
+        start, step_length = trajectory.starts[j], trajectory.lengths[j]
+        stages = view(flat, :, second:(second + 5))
         stages .= trajectory.states[j]
-        mul!(stages, trajectory.slopes[j], view(TSIT5_A, :, 2:7), length_, 1.0)
+        mul!(stages, trajectory.slopes[j], view(TSIT5_A, :, 2:7), step_length, 1.0)
         for i in 2:7
-            room.positions[at + i - 2] = start + TSIT5_C[i] * length_
+            workspace.positions[second + i - 2] = start + TSIT5_C[i] * step_length
         end
     end
-    before = room.activations.before[1]
-    for (number, position) in enumerate(room.positions)
-        drive!(view(before, :, block(number, n_cases)), rate.on_grid, z, position)
+    before = workspace.activations.before[1]
+    for (number, position) in enumerate(workspace.positions)
+        columns_of_one = evaluation_columns(number, n_cases)
+        interpolate_grid!(view(before, :, columns_of_one), rate.on_grid, z, position)
     end
-    inputs = view(room.inputs, :, 1:columns)
+    inputs = view(workspace.inputs, :, 1:columns)
     mul!(view(before, :, 1:columns), rate.along, inputs, 1.0, 1.0)
-    forward!(room.activations, network, columns)
+    forward!(workspace.activations, network, columns)
     return nothing
 end
 
-block(number, cases) = ((number - 1) * cases + 1):(number * cases)
+evaluation_columns(number, cases) = ((number - 1) * cases + 1):(number * cases)
 
 """
-    through_the_steps!(parts, problem)
+    adjoint_steps!(blocks, problem)
 
-From the last step to the first: the loss's derivatives by each evaluation's layers.
+Propagate the loss's derivatives from the last step to the first, through every evaluation.
 """
-function through_the_steps!(parts, problem::FlowProblem)
-    (; room, trajectory, interpolation, step_of, z) = problem
-    (; slopes, state, carried, change) = room
+function adjoint_steps!(blocks, problem::FlowProblem)
+    (; workspace, trajectory, interpolation, step_of, z) = problem
+    (; grad_slopes, grad_state, grad_next_slope, grad_stage) = workspace
     n_points = length(z)
-    at_points = reshape(room.state_slopes, :, n_points)
-    fill!(room.on_grid, 0.0)
-    fill!(state, 0.0)
-    fill!(carried, 0.0)
+    at_points = reshape(workspace.grad_states, :, n_points)
+    fill!(workspace.grad_on_grid, 0.0)
+    fill!(grad_state, 0.0)
+    fill!(grad_next_slope, 0.0)
     point = n_points
     for j in (trajectory.count):-1:1
-        length_ = trajectory.lengths[j]
+        step_length = trajectory.lengths[j]
         last = point
         while point >= 1 && step_of[point] == j
             point -= 1
         end
         inside = view(at_points, :, (point + 1):last)
-        mul!(slopes, inside, view(interpolation, (point + 1):last, :))
-        axpy!(1.0, carried, view(slopes, :, 7))
-        # The seventh slope is taken at the state after the step.
-        back!(parts, problem, 6 * j + 1, view(slopes, :, 7))
-        axpy!(1.0, vec(change), state)
+        mul!(grad_slopes, inside, view(interpolation, (point + 1):last, :))
+        axpy!(1.0, grad_next_slope, view(grad_slopes, :, 7))
+        # The seventh slope is evaluated at the state after the step.
+        evaluation_vjp!(blocks, problem, 6 * j + 1, view(grad_slopes, :, 7))
+        axpy!(1.0, vec(grad_stage), grad_state)
         for i in 1:6
-            axpy!(length_ * TSIT5_A[i, 7], state, view(slopes, :, i))
+            axpy!(step_length * TSIT5_A[i, 7], grad_state, view(grad_slopes, :, i))
         end
         for k in axes(inside, 2)
-            axpy!(1.0, view(inside, :, k), state)
+            axpy!(1.0, view(inside, :, k), grad_state)
         end
         for i in 6:-1:2
-            back!(parts, problem, 6 * j + i - 6, view(slopes, :, i))
-            axpy!(1.0, vec(change), state)
+            evaluation_vjp!(blocks, problem, 6 * j + i - 6, view(grad_slopes, :, i))
+            axpy!(1.0, vec(grad_stage), grad_state)
             for l in 1:(i - 1)
-                axpy!(length_ * TSIT5_A[l, i], vec(change), view(slopes, :, l))
+                axpy!(step_length * TSIT5_A[l, i], vec(grad_stage), view(grad_slopes, :, l))
             end
         end
-        copyto!(carried, view(slopes, :, 1))
+        copyto!(grad_next_slope, view(grad_slopes, :, 1))
     end
-    back!(parts, problem, 1, carried)
+    evaluation_vjp!(blocks, problem, 1, grad_next_slope)
     return nothing
 end
 
 """
-    back!(parts, problem, number, by_slope)
+    evaluation_vjp!(blocks, problem, number, grad_slope)
 
-Vector–Jacobian product of one evaluation of the right-hand side: from the loss's derivative
-by its result (state·case) to that by the state (`change`) and, as far as it is not that of
-all evaluations at once, to the gradient's parts, which it adds to.
+Vector–Jacobian product of one evaluation of the right-hand side: from the derivative with
+respect to its result (state·case) to that with respect to the state (`grad_stage`).
+Contributions that are not computed for all evaluations at the same time are added to the
+gradient's `blocks`.
 """
-function back!(parts, problem::FlowProblem, number::Int, by_slope)
-    by_slope = reshape(by_slope, :, size(problem.inflow, 2))
+function evaluation_vjp!(blocks, problem::FlowProblem, number::Int, grad_slope)
+    grad_slope = reshape(grad_slope, :, size(problem.inflow, 2))
     if isnothing(problem.terms)
-        back_through_layers!(problem, number, by_slope)
+        layers_vjp!(problem, number, grad_slope)
     else
-        back_through_terms!(parts, problem, number, by_slope)
+        terms_vjp!(blocks, problem, number, grad_slope)
     end
     return nothing
 end
 
 """
-    back_through_layers!(problem, number, factor)
+    layers_vjp!(problem, number, grad_last)
 
-Vector–Jacobian product of one evaluation of the hidden layers: from the loss's derivative
-by the last one (hidden, case) to that by the state (`change`), by the hidden layers
-(`deltas`) and by the first layer's part on the grid.
+Vector–Jacobian product of one evaluation of the hidden layers: from the derivative with
+respect to the last one (hidden, case) to those with respect to the state (`grad_stage`), the
+hidden layers (`deltas`) and the first layer on the grid (`grad_on_grid`).
 """
-function back_through_layers!(problem::FlowProblem, number::Int, factor)
-    (; network, rate, room, z) = problem
-    (; change, deltas, activations, on_grid) = room
-    columns = block(number, size(change, 2))
+function layers_vjp!(problem::FlowProblem, number::Int, grad_last)
+    (; network, rate, workspace, z) = problem
+    (; grad_stage, deltas, activations, grad_on_grid) = workspace
+    columns = evaluation_columns(number, size(grad_stage, 2))
     σ = network.activation
     top = length(deltas)
     delta = view(deltas[top], :, columns)
     times_derivative!(
-        delta, factor, view(activations.before[top], :, columns),
+        delta, grad_last, view(activations.before[top], :, columns),
         view(activations.after[top], :, columns), σ,
     )
     for layer in (top - 1):-1:1
-        below, matrix = room.back[layer], network.matrices[layer + 1]
+        below, matrix = workspace.grad_hidden[layer], network.matrices[layer + 1]
         mul!(below, view(matrix, :, 1:size(below, 1))', delta)
         delta = view(deltas[layer], :, columns)
         times_derivative!(
@@ -206,11 +209,11 @@ function back_through_layers!(problem::FlowProblem, number::Int, factor)
             view(activations.after[layer], :, columns), σ,
         )
     end
-    mul!(change, rate.along', delta)
-    i, share = interval(z, room.positions[number])
+    mul!(grad_stage, rate.along', delta)
+    i, fraction = interval(z, workspace.positions[number])
     @inbounds for case in axes(delta, 2), row in axes(delta, 1)
-        on_grid[row, case, i] += (1 - share) * delta[row, case]
-        on_grid[row, case, i + 1] += share * delta[row, case]
+        grad_on_grid[row, case, i] += (1 - fraction) * delta[row, case]
+        grad_on_grid[row, case, i + 1] += fraction * delta[row, case]
     end
     return nothing
 end

@@ -3,9 +3,9 @@
 """
     fourier_area_problem(flow, initial_area, target, period, z, stage)
 
-S = Ŝ(t=0) − a·(I(t) − I(0)) + b as a [`LinearArea`](@ref) in `[a; b]`, where I is the
-integral over time of ∂Q/∂z without its mean, from the first `stage.terms` terms of
-the Fourier series.
+S = Ŝ(t=0) − a·(I(t) − I(0)) + b as a [`LinearArea`](@ref) in `[a; b]`. I is the integral
+over time of ∂Q/∂z without its mean, from the first `stage.terms` terms of the Fourier
+series.
 
 # Arguments
 
@@ -20,10 +20,10 @@ function fourier_area_problem(flow, initial_area, target, period, z, stage::Four
     analysis, synthesis = fourier_integral(n_times, stage)
     change = similar(flow)
     for case in axes(flow, 3)
-        coefficients = slope_along_z(flow[:, :, case] * analysis, z)
+        coefficients = derivative_along_z(flow[:, :, case] * analysis, z)
         mul!(view(change,:,:,case), coefficients, synthesis, -period, 0.0)
     end
-    # S − Ŝ(t=0) is zero at the first instant: the anchor holds there.
+    # The anchor is the value at the first time point.
     change .-= change[:, 1:1, :]
     return LinearArea(initial_area, change, ones(n_times), target)
 end
@@ -32,8 +32,8 @@ end
     fourier_integral(n_times, stage)
 
 Matrices that integrate a periodic signal in time by its Fourier series: `analysis`
-(time × 2(terms − 1)) to the harmonics' cosine and sine parts, and `synthesis`
-(2(terms − 1) × time) from these to the integral of the signal without its mean, over
+(time × 2(terms − 1)) maps to the cosine and sine parts of the harmonics, and `synthesis`
+(2(terms − 1) × time) maps these to the integral of the signal without its mean, divided by
 the period.
 """
 function fourier_integral(n_times, stage::FourierAreaStage)

@@ -1,28 +1,28 @@
-# Continuity equation ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
+# Continuity equation ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), integrated from S_u over several cycles.
 
 """
     AreaRate
 
-Right-hand side dŜ/dτ (z × case), cm² per sample of the flow, in place and free of
-allocations. Time is counted in samples, so that the steps end on them exactly.
+Right-hand side dŜ/dτ (z × case), cm² per sample of the flow, in place and without
+allocations. The unit of time is one sample, so that steps end exactly on samples.
 """
 struct AreaRate
     a::Vector{Float64}
     b::Vector{Float64}          # cm²/s
     slope::Array{Float64, 3}    # ∂Q/∂z, mL/s/cm, (z, time, case), periodic
-    spacing::Float64            # of the samples, s
+    spacing::Float64            # time between samples, s
 end
 
 function (rate::AreaRate)(du, u, _, τ)
     (; a, b, slope, spacing) = rate
     n_points, n_times, n_cases = size(slope)
     sample = floor(Int, τ)
-    share = τ - sample
+    fraction = τ - sample
     before, after = mod(sample, n_times) + 1, mod(sample + 1, n_times) + 1
     @inbounds for n in 1:n_cases
         @simd ivdep for i in 1:n_points
-            now = (1 - share) * slope[i, before, n] + share * slope[i, after, n]
-            du[i, n] = spacing * (b[i] - a[i] * now)
+            current = (1 - fraction) * slope[i, before, n] + fraction * slope[i, after, n]
+            du[i, n] = spacing * (b[i] - a[i] * current)
         end
     end
     return nothing
@@ -31,16 +31,16 @@ end
 """
     integrate_area(a, b, start, slope, spacing, cycles)
 
-Ŝ, cm², (z, cycles·time, case), by Tsit5 with steps from sample to sample, as the
-published code takes them. The flow is linear in time between its samples, so this is
-the trapezoidal rule to round-off.
+Ŝ, cm², (z, cycles·time, case), by Tsit5 with steps from sample to sample, as in the
+published code. The flow is linear in time between its samples, so this equals the
+trapezoidal rule to round-off.
 
 # Arguments
 
   - `a`, `b`: corrections, – and cm²/s, (z).
   - `start`: Ŝ at t = 0, cm², (z, case).
   - `slope`: ∂Q/∂z, mL/s/cm, (z, time, case).
-  - `spacing`: of the samples, s.
+  - `spacing`: time between samples, s.
 """
 function integrate_area(a, b, start, slope, spacing, cycles)
     n_points, n_times, n_cases = size(slope)
@@ -87,15 +87,15 @@ function solve_intermediate_area(
     n_points = length(z)
     a, b = parameters[1:n_points], parameters[(n_points + 1):end]
     spacing = period / size(flow, 2)
-    slope = slope_along_z(flow, z)
+    slope = derivative_along_z(flow, z)
     return integrate_area(a, b, area_undeformed, slope, spacing, stage.cycles)
 end
 
 """
     intermediate_area_problem(flow, area_undeformed, target, period, z, stage)
 
-The last cycle's error as an [`Objective`](@ref). The equation is linear in (â, b̂): it
-is integrated once, for â = 1 from zero, and no more in the fit.
+Squared error of the last cycle, an [`Objective`](@ref). The equation is linear in (â, b̂):
+it is integrated once, for â = 1 from zero, and not in the fit.
 """
 function intermediate_area_problem(
     flow, area_undeformed, target, period, z, stage::IntermediateAreaStage,

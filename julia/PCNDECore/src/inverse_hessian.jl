@@ -1,13 +1,13 @@
 """
     InverseHessian(scale, n)
 
-The matrix `scale·I + Σ factor·a·bᵀ`, n × n, as a sum that is never multiplied out.
+The n × n matrix `scale·I + Σ factor·a·bᵀ`, stored as its terms.
 
-`Optim.BFGS` starts from a scaled identity and adds three outer products of vectors in
-each iteration. The paper's fits take 5 to 250 iterations of up to 2724 parameters, so
-that the vectors are far fewer numbers than the matrix, whose update and product cost
-Optim more than the loss and its gradient do. To Optim this is a matrix like any other:
-it gets the same numbers but for round-off.
+`Optim.BFGS` starts from a scaled identity and adds three outer products of vectors in each
+iteration. The paper's fits take 5 to 250 iterations with up to 2724 parameters, so that the
+vectors need far less memory than the matrix. The update and the product of a dense matrix
+take longer than the loss and its gradient. To Optim, this is a matrix like any other; the
+results are equal to round-off.
 """
 mutable struct InverseHessian <: AbstractMatrix{Float64}
     scale::Float64

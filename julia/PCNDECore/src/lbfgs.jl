@@ -1,90 +1,92 @@
 """
     lbfgs(objective, start, memory, iterations, after)
 
-Minimise a function by `Optim.LBFGS` with the `MoreThuente` line search, without restarts,
-until its loss falls no more. What either function throws is thrown on.
+Minimize a function by `Optim.LBFGS` with the `MoreThuente` line search, without restarts,
+until its loss no longer decreases. Exceptions of either function are rethrown.
 
 # Arguments
 
-  - `objective`: called with a point and a vector, in which it leaves the loss, which is
-    finite, and then the gradient; it may be Python's.
+  - `objective`: called with a point and a vector, which it fills with the loss, which must be
+    finite, and the gradient; it may be a Python function.
   - `start`: first iterate; the first trial step from it has length one.
-  - `memory`: pairs of steps and gradient changes that are kept.
-  - `iterations`: at most so many.
+  - `memory`: number of stored pairs of steps and gradient changes.
+  - `iterations`: largest number of iterations.
   - `after`: called with each accepted iterate and its loss.
 """
 function lbfgs(
     @nospecialize(objective), start::Vector{Float64}, memory::Integer, iterations::Integer,
     @nospecialize(after)
 )
-    point = LastPoint(objective, fill(NaN, length(start)), zeros(1 + length(start)))
+    cached = CachedObjective(objective, fill(NaN, length(start)), zeros(1 + length(start)))
     differentiable = OnceDifferentiable(
-        x -> evaluate!(point, x)[1],
-        (g, x) -> copyto!(g, 1, evaluate!(point, x), 2, length(g)),
-        (g, x) -> (copyto!(g, 1, evaluate!(point, x), 2, length(g)); point.found[1]),
+        x -> evaluate!(cached, x)[1],
+        (g, x) -> copyto!(g, 1, evaluate!(cached, x), 2, length(g)),
+        (g, x) -> (copyto!(g, 1, evaluate!(cached, x), 2, length(g)); cached.result[1]),
         start,
     )
-    linesearch = BestStep(MoreThuente(; x_tol = 0.1), point)
+    linesearch = BestStepLineSearch(MoreThuente(; x_tol = 0.1), cached)
     method = LBFGS(; m = memory, alphaguess = unit_step!, linesearch)
     options = Optim.Options(;
         iterations,
         g_abstol = 0.0,
         successive_f_tol = 0,
         show_warnings = false,
-        callback = Accepted(after, false),
+        callback = IterateCallback(after, false),
     )
     Optim.optimize(differentiable, start, method, options)
     return nothing
 end
 
 """
-    LastPoint(objective, at, found)
+    CachedObjective(objective, point, result)
 
-Loss and gradient, `found`, of the last point. The line search asks for its first trial twice,
-and Optim for the accepted one once more, with another rounding.
+Objective that caches loss and gradient, `result`, of the last point. The line search asks for
+its first trial point twice, and Optim asks for the accepted one again with another rounding.
 """
-struct LastPoint
+struct CachedObjective
     objective::Any
-    at::Vector{Float64}
-    found::Vector{Float64}
+    point::Vector{Float64}
+    result::Vector{Float64}
 end
 
-function evaluate!(point::LastPoint, x)
-    if !isapprox(x, point.at; rtol = 4 * eps())
-        point.at .= NaN # until the objective has returned
-        point.objective(copy(x), point.found)
-        copyto!(point.at, x)
+function evaluate!(cached::CachedObjective, x)
+    if !isapprox(x, cached.point; rtol = 4 * eps())
+        cached.point .= NaN # until the objective has returned
+        cached.objective(copy(x), cached.result)
+        copyto!(cached.point, x)
     end
-    return point.found
+    return cached.result
 end
 
 """
-    BestStep(search, point)
+    BestStepLineSearch(search, cached)
 
-A line search that, where `search` cannot meet Wolfe's conditions, as beside points where the
-loss has no value, takes the best step that it has found, if that lowers the loss.
+Line search that returns the best step of `search` where that cannot satisfy the Wolfe
+conditions, provided the step decreases the loss. This happens next to points where the loss
+is not defined.
 """
-struct BestStep{S}
+struct BestStepLineSearch{S}
     search::S
-    point::LastPoint
+    cached::CachedObjective
 end
 
-# Optim's arguments.
-function (line::BestStep)(objective, x, s, step, room, loss, slope)
+# The signature is Optim's.
+function (line::BestStepLineSearch)(objective, x, s, step, buffer, loss, slope)
     try
-        return line.search(objective, x, s, step, room, loss, slope)
+        return line.search(objective, x, s, step, buffer, loss, slope)
     catch error
         error isa LineSearchException || rethrow()
-        found = evaluate!(line.point, x .+ error.alpha .* s)[1]
-        found < loss || rethrow()
-        return error.alpha, found
+        best = evaluate!(line.cached, x .+ error.alpha .* s)[1]
+        best < loss || rethrow()
+        return error.alpha, best
     end
 end
 
 """
     unit_step!(line_search, state, loss, slope, objective)
 
-Optim's first guess of a step: of length one along the first gradient, then the whole step.
+Initial step of Optim's line search: of length one along the first gradient, then the full
+quasi-Newton step.
 """
 function unit_step!(_, state, _, _, _)
     state.alpha = state.pseudo_iteration == 1 ? 1 / norm(state.s) : 1.0
@@ -92,17 +94,18 @@ function unit_step!(_, state, _, _, _)
 end
 
 """
-    Accepted(after, begun)
+    IterateCallback(after, started)
 
-Optim's callback, which it calls with the first iterate too.
+Callback that passes on the accepted iterates, without the first point, for which Optim calls
+it too.
 """
-mutable struct Accepted
+mutable struct IterateCallback
     const after::Any
-    begun::Bool
+    started::Bool
 end
 
-function (accepted::Accepted)(state)
-    accepted.begun && accepted.after(copy(state.x), state.f_x)
-    accepted.begun = true
+function (callback::IterateCallback)(state)
+    callback.started && callback.after(copy(state.x), state.f_x)
+    callback.started = true
     return false
 end

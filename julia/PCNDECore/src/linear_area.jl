@@ -1,4 +1,4 @@
-# Both area stages are linear in their corrections a(z), b(z).
+# Both area stages are linear in their corrections a(z) and b(z).
 
 """
     LinearArea(start, change, elapsed, target)
@@ -8,8 +8,8 @@ Squared error of S = start + a(z)·change + b(z)·elapsed as a function of `[a; 
 # Arguments
 
   - `start`: cm², (z, case).
-  - `change`: what a(z) multiplies, cm², (z, time, case).
-  - `elapsed`: what b(z) multiplies, (time).
+  - `change`: factor of a(z), cm², (z, time, case).
+  - `elapsed`: factor of b(z), (time).
   - `target`: cm², (z, time, case).
 """
 struct LinearArea <: Objective

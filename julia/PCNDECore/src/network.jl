@@ -1,5 +1,5 @@
-# The fully connected network: a Lux `Chain`, and kernels that evaluate and
-# differentiate it in place.
+# Fully connected network: a Lux `Chain`, and kernels that evaluate and differentiate it in
+# place.
 
 const ACTIVATIONS = Dict{String, Function}(
     "tanh" => tanh,
@@ -12,8 +12,8 @@ const ACTIVATIONS = Dict{String, Function}(
 """
     chain(widths, activation)
 
-Lux `Chain` of `Dense` layers from `widths[1]` inputs to `widths[end]` outputs; the
-last layer is linear.
+Lux `Chain` of `Dense` layers from `widths[1]` inputs to `widths[end]` outputs, with a linear
+last layer.
 """
 function chain(widths::AbstractVector{<:Integer}, activation::AbstractString)
     σ = ACTIVATIONS[activation]
@@ -27,13 +27,13 @@ end
 """
     lux_parameters(chain, parameters)
 
-The flat parameter vector as Lux's nested parameters and states `(ps, st)`: per
-layer the weight (out × in), column by column, then the bias.
+Convert a flat parameter vector to Lux's nested parameters and states `(ps, st)`. For each
+layer, the vector holds the weight (out × in), column by column, and then the bias.
 """
 function lux_parameters(chain::Chain, parameters::AbstractVector{<:Real})
     _, st = Lux.setup(Random.default_rng(), chain)
-    at = 0
-    take(count) = parameters[(at + 1):(at += count)]
+    offset = 0
+    take(count) = parameters[(offset + 1):(offset += count)]
     ps = map(chain.layers) do layer
         weight = reshape(take(layer.in_dims * layer.out_dims), layer.out_dims, layer.in_dims)
         (; weight, bias = take(layer.out_dims))
@@ -44,9 +44,9 @@ end
 """
     Network(chain)
 
-What the kernels need of a `Chain`: its layers' matrices `[W b]` (out × in + 1), to
-be applied to inputs with a row of ones below. In the flat parameter vector a layer's
-weight and bias lie one after the other, so each matrix is one contiguous part of it.
+Activation and matrices `[W b]` (out × in + 1) of a `Chain`, for inputs with an additional
+row of ones. A layer's weight and bias are adjacent in the flat parameter vector, so each
+matrix is one contiguous part of it.
 """
 struct Network{F}
     activation::F
@@ -55,7 +55,7 @@ end
 
 function Network(chain::Chain)
     layers = values(chain.layers)
-    # Lux replaces some activations by faster ones of the same accuracy; so do we.
+    # Like Lux, replace some activations by faster ones of the same accuracy.
     σ = NNlib.fast_act(first(layers).activation, [0.0])
     return Network(σ, [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers])
 end
@@ -68,14 +68,14 @@ Base.length(network::Network) = sum(length, network.matrices)
 Set the matrices from the flat parameter vector.
 """
 function load!(network::Network, parameters::AbstractVector{Float64})
-    needed, given = length(network), length(parameters)
-    if needed != given
-        throw(DimensionMismatch("the network has $needed parameters, not $given"))
+    expected, actual = length(network), length(parameters)
+    if expected != actual
+        throw(DimensionMismatch("the network has $expected parameters, not $actual"))
     end
-    at = 0
+    offset = 0
     for matrix in network.matrices
-        copyto!(matrix, 1, parameters, at + 1, length(matrix))
-        at += length(matrix)
+        copyto!(matrix, 1, parameters, offset + 1, length(matrix))
+        offset += length(matrix)
     end
     return network
 end
@@ -83,7 +83,7 @@ end
 """
     derivative(activation, x, y)
 
-dy/dx of `y = activation(x)`.
+dy/dx for `y = activation(x)`.
 """
 derivative(::Union{typeof(tanh), typeof(NNlib.tanh_fast)}, x, y) = 1 - y * y
 derivative(::Union{typeof(NNlib.sigmoid), typeof(NNlib.sigmoid_fast)}, x, y) = y * (1 - y)
@@ -97,8 +97,8 @@ derivative(::typeof(NNlib.gelu), x, y) = NNlib.deriv_gelu(x)
 """
     Activations(widths, columns)
 
-Room for the hidden layers' values before and after their activation. `after` has a
-row of ones below, which the next layer's bias multiplies.
+Buffers for the values of the hidden layers before and after their activation. `after` has an
+additional row of ones for the bias of the next layer.
 """
 struct Activations
     before::Vector{Matrix{Float64}}
@@ -114,7 +114,7 @@ end
 """
     forward!(activations, network, columns)
 
-Evaluate the hidden layers from `before[1]`, for the first `columns` columns.
+Evaluate the hidden layers from `before[1]`, for the first `columns` columns only.
 """
 function forward!(a::Activations, network::Network, columns::Integer)
     for layer in eachindex(a.before)
@@ -143,7 +143,7 @@ end
 """
     times_derivative!(result, factor, before, after, activation)
 
-`result = factor · dy/dx` elementwise; `factor` and `after` may have rows more.
+`result = factor · dy/dx` elementwise; `factor` and `after` may have additional rows.
 """
 function times_derivative!(result, factor, before, after, σ::F) where {F}
     @inbounds for column in axes(result, 2)

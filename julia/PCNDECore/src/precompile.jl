@@ -1,12 +1,12 @@
-# Every stage is run once on small arrays when the package is precompiled, through the
-# calls that Python makes and with the types that it passes, so that the first real call
-# does not wait for the compiler. The networks are as deep as the paper's.
+# Workload of the precompilation: every stage runs once on small arrays, through the functions
+# that Python calls and with the types that it passes, so that the first real call need not
+# be compiled. The networks have as many layers as the paper's.
 
 @setup_workload begin
     n_points, n_times, n_cases = 7, 24, 2
     z = collect(range(0.0, 4.0, n_points))
-    wave = [1 + 0.1 * sin(2π * t / n_times + n) for t in 1:n_times, n in 1:n_cases]
-    flow = repeat(reshape(wave, 1, n_times, n_cases), n_points)
+    inflow = [1 + 0.1 * sin(2π * t / n_times + n) for t in 1:n_times, n in 1:n_cases]
+    flow = repeat(reshape(inflow, 1, n_times, n_cases), n_points)
     area_undeformed = fill(0.12, n_points, n_cases)
     area_undeformed[4, :] .= 0.06
     area = repeat(reshape(area_undeformed, n_points, 1, n_cases), 1, n_times)
@@ -19,22 +19,22 @@
         fill(0.01, length(Network(chain([n_points, 2, 2, 2, 2, n_points], "tanh")))),
     )
     inputs = (
-        "flow" => (wave, area),
+        "flow" => (inflow, area),
         "intermediate_area" => (flow, area_undeformed),
         "fourier_area" => (flow, area_undeformed),
         "temporal_pressure" => (flow, area, area_undeformed),
         "spatial_pressure" => (flow, flow, area_undeformed),
-        "temporal_flow" => (wave, flow[:, 1, :]),
+        "temporal_flow" => (inflow, flow[:, 1, :]),
     )
     closures = (
         [1e5, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.1], [1e6, 0.45, 0.2, 1.0, 0.0],
         [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
     )
     pressure, points = 1e5 .* flow, [1.0, 6.0]
-    bowl(x, found) = (found[1] = sum(abs2, x); found[2:end] .= 2 .* x; nothing)
+    bowl(x, result) = (result[1] = sum(abs2, x); result[2:end] .= 2 .* x; nothing)
     @compile_workload begin
-        for a in (z, wave, area)
-            GC.@preserve a from_python(Int(pointer(a)), size(a)...)
+        for a in (z, inflow, area)
+            GC.@preserve a copy_python_array(Int(pointer(a)), size(a)...)
         end
         for activation in keys(ACTIVATIONS)
             chosen = config(
@@ -55,28 +55,28 @@
                 fit(stage, θ, arrays, flow, z, 1.0, chosen, 2, (_, _) -> nothing)
             end
             for θ in (parameters[1:5], (parameters[1:3]..., Float64[], Float64[]))
-                predict(θ, wave, area_undeformed, z, 1.0, 2, chosen)
+                predict(θ, inflow, area_undeformed, z, 1.0, 2, chosen)
             end
         end
         with_terms = config("flow.terms = [\"friction\"]\nflow.hidden = [2, 2, 2, 2]")
         θ = first(parameters)
-        solve("flow", θ, (wave, area), z, 1.0, with_terms)
-        fit("flow", θ, (wave, area), flow, z, 1.0, with_terms, 2, (_, _) -> nothing)
-        losses("flow", reshape(θ, :, 1), (wave, area), flow, z, 1.0, with_terms)
-        hold("flow", (wave, area), flow, ones(size(flow, 3)), z, 1.0, Config())
+        solve("flow", θ, (inflow, area), z, 1.0, with_terms)
+        fit("flow", θ, (inflow, area), flow, z, 1.0, with_terms, 2, (_, _) -> nothing)
+        losses("flow", reshape(θ, :, 1), (inflow, area), flow, z, 1.0, with_terms)
+        store_objective("flow", (inflow, area), flow, ones(size(flow, 3)), z, 1.0, Config())
         lbfgs(bowl, [1.0, 2.0], 3, 2, (_, _) -> nothing)
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
         closure("losses", closures[2], (flow, area_undeformed), z, 1.0, chosen)
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
-        coupled = (closures[1:3]..., wave, area_undeformed, points)
+        coupled = (closures[1:3]..., inflow, area_undeformed, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)
         results = similar(flow), similar(flow), similar(flow)
-        arrays = results..., closures..., zeros(n_cases), wave, area_undeformed, z
+        arrays = results..., closures..., zeros(n_cases), inflow, area_undeformed, z
         GC.@preserve arrays begin
             numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
             predict_closures(chosen, 1.0, numbers...)
         end
         versions()
-        HELD[] = nothing
+        clear!(STATE)
     end
 end

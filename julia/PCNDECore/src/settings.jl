@@ -1,5 +1,5 @@
-# Settings, one struct per group; names, meanings and defaults are those of the
-# Python package's `config/settings.py`, which validates them.
+# Settings, one struct per group. Names, meanings and defaults are those of the Python
+# package's configuration, which validates them.
 
 """
 Blood, wall and stenosis, CGS: g/cm³, poise, dyn/cm², cm.
@@ -28,9 +28,9 @@ Base.@kwdef struct Optimizer
 end
 
 """
-Momentum equation; `terms` beside the network are `"friction"`, `"convection"` and
-`"inertia"`; `first_step` in cm, `nothing` for the grid's first spacing; `steps` equal steps
-in place of adaptive ones.
+Momentum equation. `terms` are added to the network: `"friction"`, `"convection"` and
+`"inertia"`. `first_step` is in cm; with `nothing`, it is the first spacing of the grid. With
+`steps`, that many equal steps replace the adaptive ones.
 """
 Base.@kwdef struct FlowStage
     terms::Vector{String} = String[]
@@ -45,7 +45,7 @@ Base.@kwdef struct FlowStage
 end
 
 """
-Momentum equation in time; `steps` from instant to instant.
+Momentum equation in time, with `steps` steps between time points.
 """
 Base.@kwdef struct TemporalFlowStage
     hidden::Vector{Int} = [8, 8, 8, 8]
@@ -55,15 +55,15 @@ Base.@kwdef struct TemporalFlowStage
 end
 
 """
-Continuity equation in time; the loss is taken on the last of the `cycles`.
+Continuity equation in time. The loss is that of the last of the `cycles`.
 """
 Base.@kwdef struct IntermediateAreaStage
     cycles::Int = 3
 end
 
 """
-Periodic area; `anchor` says which of Ŝ's instants it starts from, `frequency` and `sides`
-select the published code's variants.
+Periodic area. `anchor` selects the time point of Ŝ from which it starts; `frequency` and
+`sides` select variants of the published code.
 """
 Base.@kwdef struct FourierAreaStage
     anchor::String = "last_time_point"
@@ -89,7 +89,7 @@ Base.@kwdef struct SpatialPressureStage
 end
 
 """
-All settings, grouped as in Python.
+All settings, in the same groups as in Python.
 """
 Base.@kwdef struct Config
     physics::Physics = Physics()
@@ -103,14 +103,15 @@ Base.@kwdef struct Config
 end
 
 """
-Wall of the preset `physics`; the law is decided.
+Wall of the preset `physics`; `law` is `"membrane"` or `"local"`.
 """
 Base.@kwdef struct WallClosure
     law::String = "membrane"
 end
 
 """
-Correction of the preset `physics`: hidden layers, and coupling passes.
+Correction of the preset `physics`: widths of the hidden layers, and largest number of coupling
+passes.
 """
 Base.@kwdef struct CorrectionClosure
     hidden::Vector{Int} = Int[]
@@ -118,7 +119,7 @@ Base.@kwdef struct CorrectionClosure
 end
 
 """
-What the equations of the preset `physics` need of its settings.
+Settings of the preset `physics` that its equations need.
 """
 Base.@kwdef struct ClosureConfig
     physics::Physics = Physics()

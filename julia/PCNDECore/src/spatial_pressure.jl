@@ -7,8 +7,8 @@ Squared error of
 
     p* = (mean of p̂* over z) + a₁ − (Δp(K_t + a₂)/p_ref + b₁(t))·½tanh(10·b₂(t)·(z − z_s))
 
-as a function of `[a₁; a₂; b₁; b₂]`, with z held between L/3 and 2L/3. The drop is that
-of the flow through the stenosis, so that the outer parts are constant in z.
+as a function of `[a₁; a₂; b₁; b₂]`, with z clamped to [L/3, 2L/3]. The drop is that of the
+flow at the stenosis, so that the outer thirds are constant in z.
 
 # Arguments
 
@@ -20,15 +20,15 @@ of the flow through the stenosis, so that the outer parts are constant in z.
 """
 struct SpatialPressure <: Objective
     physics::Physics
-    stenosis::Tuple{Int, Float64}   # the grid's interval that holds it, and the share before it
+    stenosis::Tuple{Int, Float64}   # its interval of the grid, and the fraction before it
     mean::Matrix{Float64}       # of p̂* over z, (time, case)
     drop::Matrix{Float64}       # Δp/p_ref, (time, case)
-    turbulent::Matrix{Float64}  # its derivative by K_t, (time, case)
-    distance::Vector{Float64}   # from the stenosis, cm, held inside the middle third
-    height::Vector{Float64}     # of the tanh: ½, or as printed 0 and 1
+    turbulent::Matrix{Float64}  # its derivative with respect to K_t, (time, case)
+    distance::Vector{Float64}   # from the stenosis, cm, clamped to the middle third
+    height::Vector{Float64}     # of the tanh: ½, or 0 and 1 as printed in the paper
     target::Array{Float64, 3}
-    step::Matrix{Float64}       # (z, time)
-    step_slope::Matrix{Float64} # its derivative by b₂
+    profile::Matrix{Float64}    # height·tanh, (z, time)
+    profile_derivative::Matrix{Float64} # its derivative with respect to b₂
 end
 
 function SpatialPressure(
@@ -56,13 +56,13 @@ end
 
 function set_cases!(problem::SpatialPressure, temporal, flow, area_undeformed)
     (; physics, stenosis, mean, drop, turbulent) = problem
-    i, share = stenosis
+    i, fraction = stenosis
     n_points, n_times, n_cases = size(flow)
     for case in 1:n_cases
         coefficients = drop_coefficients(view(area_undeformed, :, case), physics)
         viscous, losses = coefficients ./ physics.reference_pressure
         @inbounds for t in 1:n_times
-            q = (1 - share) * flow[i, t, case] + share * flow[i + 1, t, case]
+            q = (1 - fraction) * flow[i, t, case] + fraction * flow[i + 1, t, case]
             mean[t, case] = sum(view(temporal, :, t, case)) / n_points
             turbulent[t, case] = losses * q * abs(q)
             drop[t, case] = viscous * q + physics.turbulent_coefficient * turbulent[t, case]
@@ -71,30 +71,35 @@ function set_cases!(problem::SpatialPressure, temporal, flow, area_undeformed)
     return problem
 end
 
-function steps!(problem::SpatialPressure, parameters)
-    (; distance, height, step, step_slope) = problem
-    n_points, n_times = size(step)
+"""
+    set_profile!(problem, parameters)
+
+Compute the profile height·tanh and its derivative with respect to b₂.
+"""
+function set_profile!(problem::SpatialPressure, parameters)
+    (; distance, height, profile, profile_derivative) = problem
+    n_points, n_times = size(profile)
     for t in 1:n_times
         b2 = parameters[2 + n_times + t]
         for i in 1:n_points
             tanh_ = tanh(10 * b2 * distance[i])
-            step[i, t] = height[i] * tanh_
-            step_slope[i, t] = height[i] * (1 - tanh_^2) * 10 * distance[i]
+            profile[i, t] = height[i] * tanh_
+            profile_derivative[i, t] = height[i] * (1 - tanh_^2) * 10 * distance[i]
         end
     end
-    return step
+    return profile
 end
 
 function value!(problem::SpatialPressure, parameters)
-    steps!(problem, parameters)
-    (; mean, drop, turbulent, target, step) = problem
+    set_profile!(problem, parameters)
+    (; mean, drop, turbulent, target, profile) = problem
     n_points, n_times, n_cases = size(target)
     total = 0.0
     @inbounds for case in 1:n_cases, t in 1:n_times
         level = mean[t, case] + parameters[1]
-        fall = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
+        amplitude = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
         @simd for i in 1:n_points
-            error = level - fall * step[i, t] - target[i, t, case]
+            error = level - amplitude * profile[i, t] - target[i, t, case]
             total += error * error
         end
     end
@@ -102,26 +107,26 @@ function value!(problem::SpatialPressure, parameters)
 end
 
 function value_and_gradient!(gradient, problem::SpatialPressure, parameters)
-    steps!(problem, parameters)
-    (; mean, drop, turbulent, target, step, step_slope) = problem
+    set_profile!(problem, parameters)
+    (; mean, drop, turbulent, target, profile, profile_derivative) = problem
     n_points, n_times, n_cases = size(target)
     total = 0.0
     fill!(gradient, 0.0)
     @inbounds for case in 1:n_cases, t in 1:n_times
         level = mean[t, case] + parameters[1]
-        fall = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
-        by_level = by_fall = by_b2 = 0.0
+        amplitude = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
+        grad_level = grad_amplitude = grad_b2 = 0.0
         @simd for i in 1:n_points
-            error = level - fall * step[i, t] - target[i, t, case]
+            error = level - amplitude * profile[i, t] - target[i, t, case]
             total += error * error
-            by_level += error
-            by_fall -= error * step[i, t]
-            by_b2 -= error * step_slope[i, t]
+            grad_level += error
+            grad_amplitude -= error * profile[i, t]
+            grad_b2 -= error * profile_derivative[i, t]
         end
-        gradient[1] += by_level
-        gradient[2] += by_fall * turbulent[t, case]
-        gradient[2 + t] += by_fall
-        gradient[2 + n_times + t] += by_b2 * fall
+        gradient[1] += grad_level
+        gradient[2] += grad_amplitude * turbulent[t, case]
+        gradient[2 + t] += grad_amplitude
+        gradient[2 + n_times + t] += grad_b2 * amplitude
     end
     rmul!(gradient, 2 / length(target))
     return total / length(target)
@@ -133,24 +138,24 @@ end
 p/p_ref, (z, time, case).
 """
 function solve(problem::SpatialPressure, parameters)
-    steps!(problem, parameters)
-    pressure = zeros(size(problem.step)..., size(problem.mean, 2))
-    return after_steps!(pressure, problem, parameters)
+    set_profile!(problem, parameters)
+    pressure = zeros(size(problem.profile)..., size(problem.mean, 2))
+    return evaluate_pressure!(pressure, problem, parameters)
 end
 
 """
-    after_steps!(pressure, problem, parameters)
+    evaluate_pressure!(pressure, problem, parameters)
 
-What [`solve`](@ref) does once `steps!` has been called, which needs no case.
+Compute p/p_ref from the profile that `set_profile!` has set.
 """
-function after_steps!(pressure, problem::SpatialPressure, parameters)
-    (; mean, drop, turbulent, step) = problem
+function evaluate_pressure!(pressure, problem::SpatialPressure, parameters)
+    (; mean, drop, turbulent, profile) = problem
     n_points, n_times, n_cases = size(pressure)
     @inbounds for case in 1:n_cases, t in 1:n_times
         level = mean[t, case] + parameters[1]
-        fall = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
+        amplitude = drop[t, case] + parameters[2] * turbulent[t, case] + parameters[2 + t]
         @simd ivdep for i in 1:n_points
-            pressure[i, t, case] = level - fall * step[i, t]
+            pressure[i, t, case] = level - amplitude * profile[i, t]
         end
     end
     return pressure

@@ -7,9 +7,9 @@ Coefficients `(viscous, turbulent)` of one case's pressure drop, dyn/cm²:
 
     Δp = viscous·Q + K_t·turbulent·Q·|Q|
 
-with the healthy vessel's area at the first point and the throat's the smallest. One Q
-of the paper's viscous term cancels against its Reynolds number, and Q·|Q| in place of
-Q² makes the loss oppose reversed flow. `area_undeformed` is S_u, cm², (z).
+The healthy area is that of the first point, the throat's area is the smallest one. One Q of
+the paper's viscous term cancels against its Reynolds number. Q·|Q| instead of Q² makes the
+loss oppose reversed flow. `area_undeformed` is S_u, cm², (z).
 """
 function drop_coefficients(area_undeformed, physics::Physics)
     healthy, throat = first(area_undeformed), minimum(area_undeformed)

@@ -1,15 +1,14 @@
 # Coefficients of Tsit5 (Tsitouras 2011, Computers & Mathematics with Applications
-# 62, 770–775), which the gradient needs beside the solver's own; the tests compare
-# them with the solver.
+# 62, 770–775), which the gradient needs; the tests compare them with the solver.
 
 """
-Stage positions c of Tsit5; the seventh stage is the first of the next step.
+Stage positions c of Tsit5. The seventh stage is the first one of the next step.
 """
 const TSIT5_C = (0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0)
 
 """
-Stage weights of Tsit5, 7 × 7: column i holds the weights of the slopes 1 … i − 1 in
-the state at which slope i is taken; column 7 gives the state after the step.
+Stage weights of Tsit5, 7 × 7. Column i holds the weights of the slopes 1 … i − 1 in the
+state at which slope i is evaluated; column 7 gives the state after the step.
 """
 const TSIT5_A = let a = zeros(7, 7)
     a[1, 2] = 0.161
@@ -29,7 +28,7 @@ const TSIT5_A = let a = zeros(7, 7)
     a
 end
 
-# Column i: coefficients of θ, θ², θ³, θ⁴ of slope i's weight.
+# Column i: coefficients of θ, θ², θ³, θ⁴ in the weight of slope i.
 const TSIT5_INTERPOLANT = [
     1.0 0.0 0.0 0.0 0.0 0.0 0.0
     -2.763706197274826 0.13169999999999998 3.9302962368947516 -12.411077166933676 37.50931341651104 -27.896526289197286 1.5
@@ -40,7 +39,7 @@ const TSIT5_INTERPOLANT = [
 """
     interpolation_weight(i, θ)
 
-Weight of slope i in Tsit5's interpolant of order four, at the share θ of the step.
+Weight of slope i in Tsit5's interpolant of order four, at the fraction θ of the step.
 """
 function interpolation_weight(i::Integer, θ::Float64)
     c = TSIT5_INTERPOLANT

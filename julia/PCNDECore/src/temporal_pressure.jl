@@ -1,5 +1,5 @@
-# First pressure stage, p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q): the network over
-# all points at each instant.
+# First pressure stage, p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q). The network maps all
+# points at one time point.
 
 """
     TemporalPressure(flow, area, area_undeformed, target, physics, stage)
@@ -69,7 +69,7 @@ end
 """
     residual!(problem, parameters)
 
-p̂/p_ref − target, (z, time·case).
+Compute p̂/p_ref − target, (z, time·case).
 """
 function residual!(problem::TemporalPressure, parameters)
     load!(problem.network, parameters)
@@ -95,19 +95,19 @@ function value_and_gradient!(gradient, problem::TemporalPressure, parameters)
     residual = residual!(problem, parameters)
     loss = dot(residual, residual) / length(residual)
     residual .*= (2 / length(residual)) .* stiffness'
-    parts = parts_of(gradient, network)
-    mul!(parts[end], residual, activations.after[end]')
-    factor = residual
+    blocks = layer_blocks(gradient, network)
+    mul!(blocks[end], residual, activations.after[end]')
+    grad_output = residual
     for layer in length(deltas):-1:1
         matrix, delta = network.matrices[layer + 1], deltas[layer]
-        mul!(delta, view(matrix, :, 1:size(delta, 1))', factor)
+        mul!(delta, view(matrix, :, 1:size(delta, 1))', grad_output)
         times_derivative!(
             delta, delta, activations.before[layer], activations.after[layer],
             network.activation,
         )
         below = layer == 1 ? inputs : activations.after[layer - 1]
-        mul!(parts[layer], delta, below')
-        factor = delta
+        mul!(blocks[layer], delta, below')
+        grad_output = delta
     end
     return loss
 end
@@ -115,7 +115,7 @@ end
 """
     solve_temporal_pressure(parameters, flow, area, area_undeformed, physics, stage)
 
-p̂/p_ref, (z, time, case); arguments as of [`TemporalPressure`](@ref).
+p̂/p_ref, (z, time, case); the arguments are those of [`TemporalPressure`](@ref).
 """
 function solve_temporal_pressure(
     parameters, flow, area, area_undeformed, physics::Physics, stage::TemporalPressureStage,

@@ -10,7 +10,7 @@
     # The trapezoidal rule, to round-off.
     spacing = period / n_times
     rate(k, i, n) =
-        b[i] - a[i] * PCNDECore.slope_along_z(data.flow, z)[i, mod1(k, n_times), n]
+        b[i] - a[i] * PCNDECore.derivative_along_z(data.flow, z)[i, mod1(k, n_times), n]
     for n in 1:n_cases, i in (1, 7, n_points)
         s = data.area_undeformed[i, n]
         for k in 1:(stage.cycles * n_times - 1)

@@ -4,7 +4,8 @@
     )
     @test config.flow.hidden == [3, 3] && config.flow.rtol == 1e-6
     @test config.physics == Physics()
-    area = GC.@preserve data PCNDECore.from_python(Int(pointer(data.area)), size(data.area)...)
+    address = Int(pointer(data.area))
+    area = GC.@preserve data PCNDECore.copy_python_array(address, size(data.area)...)
     @test area == data.area && area !== data.area
     parameters = glorot(flow_widths(config.flow), MersenneTwister(1))
     inputs = (data.inflow, area)
@@ -22,12 +23,12 @@ end
 @testset "predictions in place" begin
     vectors = outlet, losses, wall, correction
     given = zeros(n_cases), data.inflow, data.area_undeformed, z
-    expected, found = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:3) for _ in 1:2)
+    expected, result = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:3) for _ in 1:2)
     PCNDECore.predict_closures!(expected..., vectors, given..., 1.0, with_hidden)
-    arrays = found..., vectors..., given...
+    arrays = result..., vectors..., given...
     GC.@preserve arrays begin
         numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
         PCNDECore.predict_closures(with_hidden, 1.0, numbers...)
     end
-    @test found == expected && all(field -> all(!iszero, field), found)
+    @test result == expected && all(field -> all(!iszero, field), result)
 end

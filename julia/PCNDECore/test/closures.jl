@@ -1,7 +1,7 @@
 using PCNDECore:
-    ClosureConfig, Coefficients, CorrectionClosure, Harmonics, Waves, analyse!, closure,
-    displacement, drop!, hidden_share!, jet_area, predict_closures!, rate, solve_banded!,
-    synthesise!
+    ClosureConfig, LossDensities, CorrectionClosure, Harmonics, Spectra, analyze!, closure,
+    displacement, hidden_share!, jet_area, predict_closures!, pressure_drop!, solve_banded!,
+    synthesize!, time_derivative
 
 const outlet, losses = [1e5, 0.0, 0.0, 5e3], [1.2, 1.1, 0.9, 0.12]
 const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
@@ -23,16 +23,16 @@ end
         t, period = (0:(n - 1)) ./ n, 0.8
         harmonics = Harmonics(n, period)
         signal = 2 .+ cos.(2π .* t) .- 3 .* sin.(6π .* t)
-        waves = Waves(Float64, harmonics, 2)
-        waves.signals .= [signal reverse(signal)]
-        analyse!(waves, harmonics)
-        spectrum = complex.(waves.real[:, 1], waves.imaginary[:, 1])
+        spectra = Spectra(Float64, harmonics, 2)
+        spectra.signals .= [signal reverse(signal)]
+        analyze!(spectra, harmonics)
+        spectrum = complex.(spectra.real[:, 1], spectra.imaginary[:, 1])
         @test spectrum[[1, 2, 4]] ≈ [2, 1, 3im] && norm(spectrum[5:end]) < 1e-12
-        waves.signals .= 0
-        synthesise!(waves, harmonics)
-        @test waves.signals ≈ [signal reverse(signal)]
+        spectra.signals .= 0
+        synthesize!(spectra, harmonics)
+        @test spectra.signals ≈ [signal reverse(signal)]
         slope = (-2π .* sin.(2π .* t) .- 18π .* cos.(6π .* t)) ./ period
-        @test vec(rate(harmonics, permutedims(signal))) ≈ slope
+        @test vec(time_derivative(harmonics, permutedims(signal))) ≈ slope
     end
 end
 
@@ -47,7 +47,7 @@ end
         wall, reverse(loads; dims = 1), reverse(data.area_undeformed[:, 3]), z, "membrane",
     )
     @test reverse(mirrored; dims = 1) ≈ moved
-    # A straight vessel under an even load that nothing but hoops and its support carry.
+    # A straight vessel under a uniform load, without transverse shear.
     far = collect(range(0.0, 40.0, 401))
     long = displacement(
         [1e6, 0.0, 1e-4, 1.0, 0.0],
@@ -61,11 +61,11 @@ end
 end
 
 @testset "losses" begin
-    straight = Coefficients(losses, fill(0.125, n_points), z, Physics())
+    straight = LossDensities(losses, fill(0.125, n_points), z, Physics())
     @test iszero(straight.jet) && iszero(straight.jet_back)
     steady, none = ones(n_points, 1), zeros(n_points, 1)
     poiseuille = 1.2 * 8π * 0.04 / 0.125^2
-    @test drop!(similar(none), straight, steady, none, z) ≈ poiseuille .* (4 .- z)
+    @test pressure_drop!(similar(none), straight, steady, none, z) ≈ poiseuille .* (4 .- z)
     s_u = data.area_undeformed[:, 3]
     jet = jet_area(s_u, diff(z), 0.1)
     @test all(jet .<= s_u .* (1 + 1e-12)) && jet[1:11] == s_u[1:11] && any(jet .< 0.99 .* s_u)
@@ -91,23 +91,23 @@ end
 @testset "all coupled" begin
     flow, area, pressure = predicted()
     @test flow[1, :, :] == data.inflow
-    # Continuity: what flows in and not out is κ·(1 − g) of what the vessel stores.
+    # Continuity: inflow minus outflow is κ·(1 − g) times the rate of the volume.
     passive, area_0, pressure_0 = predicted([1.3; 0.0; 1e6; 1.0; zeros(17)])
     @test pressure_0[end, :, :] ≈ 1e5 .* passive[end, :, :] .+ 5e3
-    volume = PCNDECore.from_inlet.(eachslice(area_0; dims = (2, 3)), Ref(z))
+    volume = PCNDECore.cumulative_integral.(eachslice(area_0; dims = (2, 3)), Ref(z))
     harmonics = Harmonics(n_times, 1.0)
     for n in 1:n_cases
         stored = permutedims(last.(volume[:, n]))
         lost = passive[1, :, n] .- passive[end, :, n]
-        @test lost ≈ 1.3 .* vec(rate(harmonics, stored)) rtol = 0.05
+        @test lost ≈ 1.3 .* vec(time_derivative(harmonics, stored)) rtol = 0.05
     end
     @test maximum(abs, flow .- passive) > 1e-3
     @test all(predicted(cases = 2:2) .== map(a -> a[:, :, 2:2], (flow, area, pressure)))
-    # What is remembered of the last prediction is not taken for another model's.
+    # Cached data of the last prediction is not used for another model.
     @test maximum(abs, predicted(tube = [2e6; wall[2:end]])[2] .- area) > 1e-4
     @test maximum(abs, predicted(period = 0.5)[1] .- flow) > 1e-3
     @test predicted() == (flow, area, pressure)
-    # An outlet with and without frequencies, which is computed in two ways.
+    # Outlets with and without a dependence on frequency are computed in two ways.
     for compliance in (0.0, 1e-17)
         same = predicted(law = [4e4, 6e4, compliance, 5e3])
         @test all(isapprox.(same, (flow, area, pressure); rtol = 1e-11))
@@ -135,8 +135,8 @@ end
         for k in eachindex(θ)
             step = [i == k ? 1e-5 * max(abs(θ[k]), 0.1) : 0.0 for i in eachindex(θ)]
             slope = (at(θ .+ step)[1] .- at(θ .- step)[1]) ./ 2step[k]
-            found = selectdim(jacobian, 1, k)
-            @test norm(found .- slope) < 1e-5 * norm(slope) + 1e-9 * norm(value) / step[k]
+            result = selectdim(jacobian, 1, k)
+            @test norm(result .- slope) < 1e-5 * norm(slope) + 1e-9 * norm(value) / step[k]
         end
     end
     @test closure("flow", correction, coupled, z, 1.0, with_hidden)[1] ≈ flow[[6, 21], :, :]

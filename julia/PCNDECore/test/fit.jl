@@ -11,7 +11,7 @@ function PCNDECore.value_and_gradient!(g, q::Quartic, x)
 end
 
 """
-Lower nowhere but where its gradient is taken.
+Infinite loss except where its gradient is evaluated.
 """
 struct Wall <: Objective end
 
@@ -19,7 +19,7 @@ PCNDECore.value!(::Wall, x) = Inf
 PCNDECore.value_and_gradient!(g, ::Wall, x) = (g .= 2 .* x; sum(abs2, x))
 
 """
-Optim's own dense BFGS with the same settings.
+Minimize by Optim's dense BFGS with the same settings.
 """
 function dense_fit(objective, start, settings, iterations)
     g!(g, x) = (value_and_gradient!(g, objective, x); nothing)
@@ -33,7 +33,7 @@ function dense_fit(objective, start, settings, iterations)
 end
 
 @testset "fit" begin
-    @testset "the sum of outer products is Optim's own matrix" begin
+    @testset "the sum of outer products equals Optim's dense matrix" begin
         widths = [4 * n_points, 2, 2, n_points]
         network = TemporalPressure(
             data.flow, data.area, data.area_undeformed, 0.8 .+ 0.1 .* data.flow,
@@ -50,7 +50,7 @@ end
             @test result.losses[end] < result.losses[1]
             @test result.message == "all iterations done" && !result.converged
         end
-        # The flow's steps pass round-off on: see the flow's tests.
+        # Step sizes of the flow amplify round-off: see the tests of the flow.
         stage = FlowStage()
         start = glorot(flow_widths(stage), MersenneTwister(1))
         result = fit(flow_problem(stage), start, Optimizer(), 5)
@@ -72,9 +72,9 @@ end
         h .= InverseHessian(2.0, 4)
         @test Matrix(h) == 2I
     end
-    @testset "a line search that fails" begin
-        # The first step is a thousand times too long for one trial; the steepest descent's
-        # own length is not.
+    @testset "failing line search" begin
+        # The first step is a thousand times too long for one trial; the length of steepest
+        # descent is not.
         settings = Optimizer(max_backtracks = 1, initial_step_norm = 1e3)
         result = fit(Quartic(fill(0.5, 2)), [0.3, 0.4], settings, 3)
         @test length(result.losses) == 4 && issorted(result.losses; rev = true)
@@ -83,7 +83,7 @@ end
         @test stuck.losses == [5.0] && stuck.parameters == [1, 2]
         @test stuck.message == "line search found no lower loss" && !stuck.converged
     end
-    @testset "ends" begin
+    @testset "end of a fit" begin
         converged = fit(Quartic(zeros(2)), [1.0, 2.0], Optimizer(), 500)
         @test converged.converged && converged.message in ("gradient tolerance", "no change")
         # The first trial steps are not finite: the line search shortens them.

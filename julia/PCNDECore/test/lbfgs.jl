@@ -1,9 +1,9 @@
 @testset "L-BFGS" begin
     scale, trials = [1.0, 10.0, 100.0], Vector{Float64}[]
-    function bowl(x, found)
+    function bowl(x, result)
         push!(trials, x)
-        found[1] = sum(scale .* (x .- 1) .^ 2)
-        found[2:end] .= 2 .* scale .* (x .- 1)
+        result[1] = sum(scale .* (x .- 1) .^ 2)
+        result[2:end] .= 2 .* scale .* (x .- 1)
         return nothing
     end
     seen = Tuple{Vector{Float64}, Float64}[]
@@ -29,20 +29,20 @@
         9,
         bowl,
     )
-    # A wall beyond which the loss is high, as the Python package has it where a loss is not
-    # finite: the best step before it is taken.
+    # A region of high loss, like that of the Python package where a loss is not finite: the
+    # best step before it is accepted.
     latest = Ref(fill(-40.0, 3))
-    function cliff(x, found)
-        maximum(x) > 1.5 || return bowl(x, found)
-        way = x .- latest[]
-        found[1] = 1e7
-        found[2:end] .= way .* (2e7 / sum(abs2, way))
+    function cliff(x, result)
+        maximum(x) > 1.5 || return bowl(x, result)
+        offset = x .- latest[]
+        result[1] = 1e7
+        result[2:end] .= offset .* (2e7 / sum(abs2, offset))
         return nothing
     end
     lbfgs(cliff, latest[], 20, 100, (x, _) -> latest[] = x)
     @test latest[] ≈ ones(3) atol = 1e-5
-    # As exact as Optim asks: a point again, with another rounding, is not computed anew.
-    point = PCNDECore.LastPoint(bowl, fill(NaN, 3), zeros(4))
+    # A point with another rounding is not evaluated again.
+    point = PCNDECore.CachedObjective(bowl, fill(NaN, 3), zeros(4))
     empty!(trials)
     PCNDECore.evaluate!(point, [1 / 3, 0.2, 0.1])
     PCNDECore.evaluate!(point, [nextfloat(1 / 3), 0.2, 0.1])

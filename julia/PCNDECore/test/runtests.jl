@@ -7,20 +7,17 @@ using PCNDECore:
     intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!,
     set_weight!, solve, solve_flow, solve_intermediate_area, solve_temporal_flow, value!,
     value_and_gradient!
-using LinearAlgebra
-using LineSearches: BackTracking
-using Lux: Lux
-using Optim: Optim
-using OrdinaryDiffEqTsit5: ODEProblem, Tsit5
-using Random: MersenneTwister
-using SciMLBase: SciMLBase
+# Dependencies are taken from PCNDECore, so that the tests run in every project that contains
+# it, even if the project has its dependencies only indirectly.
+using PCNDECore: BackTracking, I, Lux, ODEProblem, Optim, SciMLBase, Tsit5, dot, mul!, norm
+using PCNDECore.Random: MersenneTwister
 using Test
 
 const n_points, n_times, n_cases = 21, 20, 3
 const z = collect(range(0.0, 4.0, n_points))
 
 """
-Smooth cases by formula: inflow (time, case), area (z, time, case), flow, S_u.
+Smooth synthetic cases: inflow (time, case), area (z, time, case), flow, S_u.
 """
 function cases()
     t = (0:(n_times - 1)) ./ n_times
@@ -55,7 +52,7 @@ flow_widths(stage) = [2 * n_times; stage.hidden; n_times]
 flow_problem(stage) = FlowProblem(copy(data.inflow), data.area, data.flow, z, stage)
 
 """
-Central differences of an objective along random directions against its gradient.
+Compare the gradient of an objective with central differences along random directions.
 """
 function check_gradient(objective, parameters; rtol, step = 1e-5)
     gradient = similar(parameters)
@@ -72,6 +69,7 @@ end
 @testset "PCNDECore" begin
     include("network.jl")
     include("flow.jl")
+    include("reference.jl")
     include("physics_terms.jl")
     include("temporal_flow.jl")
     include("area.jl")

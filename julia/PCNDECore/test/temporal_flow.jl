@@ -1,7 +1,7 @@
 """
-The flow in time as the paper states it, with Lux for the network, one case.
+Integrate the flow in time as the paper states it, with Lux, for one case.
 """
-function temporal_by_lux(parameters, stage, inflow, initial_flow)
+function temporal_flow_by_lux(parameters, stage, inflow, initial_flow)
     model = chain(
         [n_points + stage.time_input; stage.hidden; n_points], stage.activation,
     )
@@ -17,11 +17,11 @@ function temporal_by_lux(parameters, stage, inflow, initial_flow)
         k3 = f(q .+ h / 2 .* k2, t + h / 2)
         k4 = f(q .+ h .* k3, t + h)
         q = q .+ h / 6 .* (k1 .+ 2 .* k2 .+ 2 .* k3 .+ k4)
-        instant, passed = fldmod(number, stage.steps)
-        share = passed / stage.steps
-        q[1] = (1 - share) * inflow[instant + 1]
-        share > 0 && (q[1] += share * inflow[instant + 2])
-        passed == 0 && (flow[:, instant + 1] .= q)
+        time_point, substep = fldmod(number, stage.steps)
+        fraction = substep / stage.steps
+        q[1] = (1 - fraction) * inflow[time_point + 1]
+        fraction > 0 && (q[1] += fraction * inflow[time_point + 2])
+        substep == 0 && (flow[:, time_point + 1] .= q)
     end
     return flow
 end
@@ -38,10 +38,10 @@ end
         flow = solve_temporal_flow(parameters, data.inflow, initial_flow, 1.0, stage)
         @test flow[1, :, :] == data.inflow
         for case in 1:n_cases
-            alone = temporal_by_lux(
+            separate = temporal_flow_by_lux(
                 parameters, stage, data.inflow[:, case], initial_flow[:, case],
             )
-            @test flow[:, :, case] ≈ alone rtol = 1e-12
+            @test flow[:, :, case] ≈ separate rtol = 1e-12
         end
         problem = TemporalFlow(data.inflow, initial_flow, data.flow, 1.0, stage)
         @test value!(problem, parameters) ≈ sum(abs2, flow .- data.flow) / length(flow)

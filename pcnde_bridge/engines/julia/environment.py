@@ -40,7 +40,7 @@ SIGNALS, THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
 
 _NEEDED = ("PCNDECore", "PythonCall")
 _COMPUTING = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
-_OLDEST = (1, 10)
+_OLDEST = (1, 10, 3)  # of juliacall
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,10 @@ def julia_status() -> JuliaStatus:
     JuliaStatus
         Problems are reported in its message; nothing is raised.
     """
-    facts: dict[str, Any] = {"source": "environment", **_settings()}
+    facts: dict[str, Any] = {"source": "environment", **_settings(os.environ)}
     try:
         facts |= _named()
+        facts |= _settings(_variables(facts))
         if facts["source"] == "juliapkg":
             facts |= _by_juliapkg(facts)
         facts |= _executable(facts)
@@ -134,18 +135,25 @@ def julia_sources() -> Path:
     )
 
 
-def juliacall_settings() -> dict[str, str]:
-    """Return the defaults for juliacall's variables; the user's own values take precedence."""
+def juliacall_settings(variables: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the defaults for juliacall's variables; the user's own values take precedence.
+
+    Parameters
+    ----------
+    variables : mapping of str to str, optional
+        The user's environment variables; by default, those of this process.
+    """
+    given = os.environ if variables is None else variables
     settings = {
         "PYTHON_JULIACALL_STARTUP_FILE": "no",
         "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no",
     }
-    if "JULIA_NUM_THREADS" not in os.environ:
+    if "JULIA_NUM_THREADS" not in given:
         settings[THREADS] = "1"
     # With one thread Julia needs no signals, and Python keeps them all.  With more, the garbage
     # collector stops the other threads through SIGSEGV: unless Julia handles that signal, the
-    # process dies (signal 11).  Julia then also takes Ctrl-C, which cannot interrupt a fit.
-    settings[SIGNALS] = "no" if _threads() == "1" else "yes"
+    # process dies (signal 11).
+    settings[SIGNALS] = "no" if _threads(given) == "1" else "yes"
     return settings
 
 
@@ -265,9 +273,10 @@ def _executable(facts: Mapping[str, Any]) -> dict[str, Any]:
     version = julia_version(executable)
     if version is None:
         raise EngineUnavailableError(f"{executable} does not run as Julia. Correct it in {where}.")
-    if (version.major, version.minor) < _OLDEST:
+    if (version.major, version.minor, version.patch) < _OLDEST:
+        oldest = ".".join(map(str, _OLDEST))
         raise EngineUnavailableError(
-            f"Julia {version} at {executable} is too old: 1.10 or newer is needed."
+            f"Julia {version} at {executable} is too old: {oldest} or newer is needed."
         )
     return {"executable": Path(executable), "version": str(version)}
 
@@ -286,10 +295,10 @@ def _packages(facts: Mapping[str, Any]) -> dict[str, Any]:
             f"with: {_command(project)}"
         )
     check_core(versions["PCNDECore"], core or project, project)
-    variables = {**facts.get("environment", {}), **os.environ}
+    depots = _variables(facts).get("JULIA_DEPOT_PATH", "")
     return {
         "packages": {name: versions[name] for name in _COMPUTING if versions.get(name)},
-        "precompiled": _is_precompiled(facts["version"], variables.get("JULIA_DEPOT_PATH", "")),
+        "precompiled": _is_precompiled(facts["version"], depots),
         "warning": _difference(core),
     }
 
@@ -346,7 +355,12 @@ def _command(project: Path | str) -> str:
     )
 
 
-def _settings() -> dict[str, Any]:
+def _variables(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Return the environment variables with which Julia starts."""
+    return {**facts.get("environment", {}), **os.environ}
+
+
+def _settings(variables: Mapping[str, str]) -> dict[str, Any]:
     """Return the settings with which Julia starts, or was started."""
     juliacall = sys.modules.get("juliacall")
     if juliacall is not None and juliacall.CONFIG.get("inited"):
@@ -354,13 +368,14 @@ def _settings() -> dict[str, Any]:
         signals = juliacall.CONFIG.get("opt_handle_signals")
         signals = signals if isinstance(signals, str) else ("yes" if signals else "no")
     else:
-        threads, signals = _threads(), {**juliacall_settings(), **os.environ}[SIGNALS]
-    offline = os.environ.get("PYTHON_JULIAPKG_OFFLINE") == "yes" or (
-        os.environ.get("JULIA_PKG_OFFLINE", "").lower() == "true"
+        threads = _threads(variables)
+        signals = {**juliacall_settings(variables), **variables}[SIGNALS]
+    offline = variables.get("PYTHON_JULIAPKG_OFFLINE") == "yes" or (
+        variables.get("JULIA_PKG_OFFLINE", "").lower() == "true"
     )
     return {"threads": str(threads), "handle_signals": signals, "offline": offline}
 
 
-def _threads() -> str:
+def _threads(variables: Mapping[str, str]) -> str:
     """Return the user's choice of threads, as juliacall reads it."""
-    return os.environ.get(THREADS, os.environ.get("JULIA_NUM_THREADS", "1"))
+    return variables.get(THREADS, variables.get("JULIA_NUM_THREADS", "1"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import subprocess
 import sys
 import threading
 import types
@@ -106,7 +107,7 @@ class Julia:
         """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value, dtype=np.float64)
-            return self._function("from_python")(*_memory(array))
+            return self._function("copy_python_array")(*_memory(array))
         if isinstance(value, tuple):
             return tuple(map(self._to_julia, value))
         if isinstance(value, Config):
@@ -196,6 +197,36 @@ def start() -> types.ModuleType:
     return juliacall  # type: ignore[no-any-return]
 
 
+_LOAD = """
+import sys
+from pcnde_bridge.engines.julia.runtime import Julia
+from pcnde_bridge.errors import PCNDEError
+try:
+    Julia()
+except PCNDEError as error:
+    sys.exit(f"{error}")
+"""
+
+
+def load_error(timeout: float | None = None) -> str:
+    """Start Julia with all packages in a new process; return its error message, empty if none.
+
+    Parameters
+    ----------
+    timeout : float, optional
+        Longest time to wait, s; by default, until everything is compiled.
+    """
+    command = [sys.executable, "-c", _LOAD]
+    try:
+        done = subprocess.run(command, capture_output=True, check=False, timeout=timeout)
+    except subprocess.TimeoutExpired:
+        return f"Julia did not load its packages in {timeout:g} s: pcnde doctor --load compiles them."
+    if done.returncode == 0:
+        return ""
+    message = done.stderr.decode(errors="replace").strip().splitlines()
+    return message[-1] if message else f"Julia ended with exit code {done.returncode}."
+
+
 def _prepare(status: JuliaStatus) -> None:
     """Set juliacall's variables, or raise if Julia cannot start."""
     if not (status.usable or status.installable):
@@ -205,7 +236,8 @@ def _prepare(status: JuliaStatus) -> None:
             f"Julia with {status.threads} threads must handle signals, otherwise the process "
             f"crashes: unset {SIGNALS}, or set {THREADS}=1."
         )
-    for name, value in {**status.environment, **juliacall_settings()}.items():
+    variables = {**status.environment, **os.environ}
+    for name, value in {**juliacall_settings(variables), **status.environment}.items():
         os.environ.setdefault(name, value)
     if status.installable:
         print("Installing Julia and its packages once; this takes some minutes.", file=sys.stderr)

@@ -61,9 +61,9 @@ class JuliaStage(Generic[InputsT]):
             # another thread.
             if self._julia.problem is not identity:
                 self._julia.problem = None
-                self._julia.call("hold", self._name, *data)
+                self._julia.call("store_objective", self._name, *data)
                 self._julia.problem = identity
-            loss, gradient = self._julia.call("held_loss_and_gradient", parameters)
+            loss, gradient = self._julia.call("stored_loss_and_gradient", parameters)
             return float(loss), gradient
 
         return evaluate

@@ -1,23 +1,23 @@
-# The learned share g of the wall's storage that the averaged flow does not show.
+# Learned share g of the wall's storage that the averaged flow does not show.
 #
-# A network of two local quantities of the passive tube, the rate u of its outlet pressure
-# and its outlet flow y, gives at every instant
+# The inputs of a network are two quantities of the passive tube, the rate u of its outlet
+# pressure and its outlet flow y. At every time point,
 #
 #     g = c·sigmoid(N_θ(u/u_scale, y/y_scale) + shift),
 #
-# where the ceiling c is the largest share that the training cases show.
+# where c is the largest share in the training cases.
 
 """
     storage_factor(parameters)
 
-κ: how much flow goes into a change of the wall's volume; 1 where volume is conserved.
+κ, the flow per change of the volume under the wall; 1 where volume is conserved.
 """
 storage_factor(parameters) = parameters[1]
 
 """
     hidden_share!(share, parameters, pressure_rate, flow, shift, hidden)
 
-Fill `share` with g, (time).
+Compute g, (time).
 
 # Arguments
 
@@ -32,23 +32,23 @@ function hidden_share!(share, parameters, pressure_rate, flow, shift, hidden)
     x = similar(share, length(flow), 2)
     @views x[:, 1] .= pressure_rate ./ u_scale
     @views x[:, 2] .= flow ./ y_scale
-    at, n = 4, 2
+    offset, n = 4, 2
     for m in hidden
-        x = tanh.(layer(x, parameters, at, n, m))
-        at, n = at + (n + 1) * m, m
+        x = tanh.(layer(x, parameters, offset, n, m))
+        offset, n = offset + (n + 1) * m, m
     end
-    share .= ceiling .* NNlib.sigmoid.(vec(layer(x, parameters, at, n, 1)) .+ shift)
+    share .= ceiling .* NNlib.sigmoid.(vec(layer(x, parameters, offset, n, 1)) .+ shift)
     return share
 end
 
 """
-    layer(x, parameters, at, n, m)
+    layer(x, parameters, offset, n, m)
 
-x·W + b, (time, m), of x (time, n), with W and b after the first `at` parameters.
+x·W + b, (time, m), for x (time, n), with W and b after the first `offset` parameters.
 """
-function layer(x, parameters, at, n, m)
-    @views weight = reshape(parameters[(at + 1):(at + n * m)], m, n)
-    @views bias = parameters[(at + n * m + 1):(at + (n + 1) * m)]
+function layer(x, parameters, offset, n, m)
+    @views weight = reshape(parameters[(offset + 1):(offset + n * m)], m, n)
+    @views bias = parameters[(offset + n * m + 1):(offset + (n + 1) * m)]
     product = x * weight'
     product .+= bias'
     return product

@@ -1,32 +1,32 @@
-# How far the wall moves under a pressure: an elastic membrane, or a local tube law.
+# Displacement of the wall under a pressure: an elastic membrane, or a local tube law.
 #
 # Membrane. The vessel is a thin shell of revolution with the generator r_u(z), clamped at
-# both ends, that carries membrane and transverse shear forces, as the coupled momentum
-# method (Figueroa et al. 2006) has it. With the displacement (u_z, u_r), tangent t, normal n
+# both ends, with membrane and transverse shear forces, as in the coupled momentum method
+# (Figueroa et al. 2006). With the displacement (u_z, u_r), tangent t, normal n
 # and arc length s of the generator, the strains are
 #
 #     ε_s = t·∂u/∂s,    ε_θ = u_r/r_u,    γ = n·∂u/∂s,
 #
-# and u makes the energy stationary:
+# and u is a stationary point of the energy
 #
 #     ½ K ∫ [ε_s² + ε_θ² + 2ν ε_s ε_θ + k γ² + f u_z²] r_u ds − ∫ (p − p₀) n·u r_u ds,
 #
 # with the stiffness K = E·h/(1 − ν²), dyn/cm, Poisson's ratio ν, the shear ratio k and an
-# axial support f, 1/cm². Linear elements between the points, two Gauss points each.
+# axial support f, 1/cm². It is discretized by linear elements with two Gauss points each.
 #
-# Local law. u_r = r_u·(r_u/r_0)^m·(p − p₀)/K, with r_0 the first point's radius.
+# Local law. u_r = r_u·(r_u/r_0)^m·(p − p₀)/K, with the radius r_0 of the first point.
 #
 # Both are linear in the pressure; the area S = π(r_u + u_r)² is not.
 
 """
     displacement(parameters, loads, area_undeformed, z, law)
 
-Radial displacement u_r, cm, (z, load), under some loads.
+Radial displacement u_r, cm, (z, load), under several loads.
 
 # Arguments
 
-  - `parameters`: membrane: K (dyn/cm), ν, k, f (1/cm²), p₀; local: K (dyn/cm²), m, p₀,
-    which belongs to the pressure, not to the loads.
+  - `parameters`: membrane: K (dyn/cm), ν, k, f (1/cm²), p₀; local: K (dyn/cm²), m, p₀. The
+    loads contain p₀ already.
   - `loads`: p − p₀, dyn/cm², (z, load).
   - `area_undeformed`: S_u, cm², (z).
   - `z`: points, cm.
@@ -42,8 +42,8 @@ end
 """
     membrane(parameters, loads, radius, z)
 
-u_r, cm, (z, load). The unknowns are u_z and u_r of the points between the clamped ends, in
-turns, so that the system's matrix has three bands below its diagonal.
+u_r, cm, (z, load). The unknowns are u_z and u_r of the points between the clamped ends,
+alternating, so that the matrix of the system has three bands below its diagonal.
 """
 function membrane(parameters, loads, radius, z)
     stiffness, poisson, shear, support = parameters
@@ -54,17 +54,17 @@ function membrane(parameters, loads, radius, z)
     for element in 1:(n_points - 1)
         dz, dr = z[element + 1] - z[element], radius[element + 1] - radius[element]
         length = hypot(dz, dr)
-        # What each of the element's four unknowns adds to a strain.
+        # Contribution of each of the element's four unknowns to the strains.
         along = (-dz, -dr, dz, dr) ./ length^2
         across = (dr, -dz, -dr, dz) ./ length^2
         normal = (-dr / length, dz / length)
-        first = 2 * (element - 2) # unknowns before the element's own
-        for share in GAUSS
-            r = (1 - share) * radius[element] + share * radius[element + 1]
+        first = 2 * (element - 2) # number of unknowns before those of the element
+        for position in GAUSS
+            r = (1 - position) * radius[element] + position * radius[element + 1]
             weight = r * length / 2
-            around = (0.0, (1 - share) / r, 0.0, share / r)
-            axial = (1 - share, 0.0, share, 0.0)
-            shape = ((1 - share) .* normal..., share .* normal...)
+            hoop = (0.0, (1 - position) / r, 0.0, position / r)
+            axial = (1 - position, 0.0, position, 0.0)
+            shape = ((1 - position) .* normal..., position .* normal...)
             for i in 1:4
                 row = first + i
                 1 <= row <= n || continue
@@ -74,24 +74,24 @@ function membrane(parameters, loads, radius, z)
                     bands[1 + i - j, column] +=
                         weight * (
                             along[i] * along[j] +
-                            around[i] * around[j] +
-                            poisson * (along[i] * around[j] + around[i] * along[j]) +
+                            hoop[i] * hoop[j] +
+                            poisson * (along[i] * hoop[j] + hoop[i] * along[j]) +
                             shear * across[i] * across[j] +
                             support * axial[i] * axial[j]
                         )
                 end
                 for load in 1:n_loads
-                    pressure =
-                        (1 - share) * loads[element, load] + share * loads[element + 1, load]
+                    left, next = loads[element, load], loads[element + 1, load]
+                    pressure = (1 - position) * left + position * next
                     right[row, load] += weight * shape[i] * pressure
                 end
             end
         end
     end
     solve_banded!(bands, right)
-    moved = zeros(promote_type(eltype(bands), eltype(right)), n_points, n_loads)
-    moved[2:(end - 1), :] .= right[2:2:end, :] ./ stiffness
-    return moved
+    radial = zeros(promote_type(eltype(bands), eltype(right)), n_points, n_loads)
+    radial[2:(end - 1), :] .= right[2:2:end, :] ./ stiffness
+    return radial
 end
 
 const GAUSS = (0.5 - 0.5 / sqrt(3), 0.5 + 0.5 / sqrt(3))

@@ -1,16 +1,17 @@
 """
-    slope_along_z(flow, z)
+    derivative_along_z(flow, z)
 
-∂Q/∂z, (z, …), by second-order differences: central inside, one-sided at both ends.
+∂Q/∂z, (z, …), by second-order differences, one-sided at both ends.
 
 # Arguments
 
   - `flow`: Q, mL/s, or anything linear in it, (z, …).
   - `z`: points, cm; the spacing may vary.
 """
-slope_along_z(flow::Array{Float64}, z::Vector{Float64}) = slope_along_z!(similar(flow), flow, z)
+derivative_along_z(flow::Array{Float64}, z::Vector{Float64}) =
+    derivative_along_z!(similar(flow), flow, z)
 
-function slope_along_z!(slope::Array{Float64}, flow::Array{Float64}, z::Vector{Float64})
+function derivative_along_z!(slope::Array{Float64}, flow::Array{Float64}, z::Vector{Float64})
     n = length(z)
     columns = reshape(flow, n, :)
     result = reshape(slope, n, :)
@@ -23,8 +24,8 @@ function slope_along_z!(slope::Array{Float64}, flow::Array{Float64}, z::Vector{F
             result[i, column] = (right * before + left * after) / (left + right)
             before = after
         end
-        # The parabola through three points has the mean slope of its end and middle
-        # in between.
+        # One-sided difference: the slope of a parabola is linear, so that the slope between
+        # two points is the mean of the slopes at both.
         result[1, column] = 2 * first - result[2, column]
         result[n, column] = 2 * before - result[n - 1, column]
     end
