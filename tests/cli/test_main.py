@@ -482,7 +482,9 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
 
 def test_doctor_without_an_engine_fails(run, monkeypatch):
     bad = Finding("engine jax", "jax missing", "pip install jax", good=False, is_engine=True)
-    monkeypatch.setattr("pcnde_bridge.cli.doctor.examine", lambda load: [Finding("Python", "3"), bad])
+    monkeypatch.setattr(
+        "pcnde_bridge.cli.doctor.examine", lambda load: [Finding("Python", "3"), bad]
+    )
     code, printed, err = run("doctor")
     assert code == 1
     assert "pip install jax" in printed

@@ -600,6 +600,31 @@ def test_two_threads_give_the_same_beside_pythons_threads(
             np.testing.assert_array_equal(found[name], array)
 
 
+_INTERRUPTED = """
+import os, pickle, signal, sys, threading
+from pcnde_bridge.engines.julia.engine import JuliaEngine
+problem = pickle.loads(sys.stdin.buffer.read())
+engine = JuliaEngine()
+engine.flow.fit(*problem, 1)
+threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    for _ in range(10000):
+        engine.flow.fit(*problem, 1000)
+except KeyboardInterrupt:
+    print("interrupted")
+engine.flow.fit(*problem, 1)
+"""
+
+
+@pytest.mark.julia
+@pytest.mark.skipif(os.name == "nt", reason="signals are sent otherwise there")
+def test_ctrl_c_ends_a_fit_with_two_threads(flow_problem):
+    problem = *flow_problem[:-1], flow_problem[-1].replace(optimizer={"gradient_tolerance": 0.0})
+    done = run(_INTERRUPTED, input=pickle.dumps(problem), JULIA_NUM_THREADS="2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "interrupted"
+
+
 @pytest.mark.julia
 def test_another_thread_is_refused(engine, flow_problem):
     vector, inputs, _, grid, config = flow_problem

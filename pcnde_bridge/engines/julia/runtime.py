@@ -220,7 +220,9 @@ def load_error(timeout: float | None = None) -> str:
     try:
         done = subprocess.run(command, capture_output=True, check=False, timeout=timeout)
     except subprocess.TimeoutExpired:
-        return f"Julia did not load its packages in {timeout:g} s: pcnde doctor --load compiles them."
+        return (
+            f"Julia did not load its packages in {timeout:g} s: pcnde doctor --load compiles them."
+        )
     if done.returncode == 0:
         return ""
     message = done.stderr.decode(errors="replace").strip().splitlines()
