@@ -141,14 +141,10 @@ def _read_input(path: Path) -> _Input:
                     model = name
                 case ["SOLVEROPTIONS", time_step, every, steps, *_]:
                     step, saves = float(time_step) * int(every), 1 + int(steps) // int(every)
-                case ["SEGMENT", name, _, length, elements, inlet, outlet, first, last, *_]:
-                    areas = float(first), float(last)
-                    segment = _Segment(name, float(length), int(elements), inlet, outlet, *areas)
-                    if name in segments or segment.elements < 1 or not segment.length > 0:
-                        raise ValueError("it is repeated, or has no length or no elements")
-                    if not min(areas) > 0:
-                        raise ValueError("its areas must be positive")
-                    segments[name] = segment
+                case ["SEGMENT", name, _, *values] if len(values) >= 6:
+                    if name in segments:
+                        raise ValueError("it is repeated")
+                    segments[name] = _read_segment(name, values)
                 case ["MODEL" | "SOLVEROPTIONS" | "SEGMENT", *_]:
                     raise ValueError("it is incomplete")
         except (ValueError, ZeroDivisionError) as error:
@@ -161,17 +157,35 @@ def _read_input(path: Path) -> _Input:
             f"{path} is not an input file of svOneDSolver: it needs the lines MODEL, SEGMENT and "
             "SOLVEROPTIONS."
         )
-    if not step > 0:
-        raise FileError(f"{path}: SOLVEROPTIONS gives steps of {step:g} s.")
-    if saves < 4:
+    found = _Input(model, segments, step, saves)
+    _check_input(path, found)
+    return found
+
+
+def _check_input(path: Path, found: _Input) -> None:
+    """Raise if the steps, the number of saves or a name cannot be used."""
+    if not found.step > 0:
+        raise FileError(f"{path}: SOLVEROPTIONS gives steps of {found.step:g} s.")
+    if found.saves < 4:
         raise InputError(
-            f"{path} saves {saves} time points, and a cycle needs at least 4. Save more often: the "
-            "second number of SOLVEROPTIONS is the number of steps between saves."
+            f"{path} saves {found.saves} time points, and a cycle needs at least 4. Save more "
+            "often: the second number of SOLVEROPTIONS is the number of steps between saves."
         )
-    for name in (model, *segments):
+    for name in (found.model, *found.segments):
         if Path(name).name != name or name.startswith("."):
             raise FileError(f"{path}: the name {name!r} leads out of the file's folder.")
-    return _Input(model, segments, step, saves)
+
+
+def _read_segment(name: str, values: list[str]) -> _Segment:
+    """Return a segment from the words of its line; raise ValueError if one is not usable."""
+    length, elements, inlet, outlet, first, last, *_ = values
+    areas = float(first), float(last)
+    segment = _Segment(name, float(length), int(elements), inlet, outlet, *areas)
+    if segment.elements < 1 or not segment.length > 0:
+        raise ValueError("it has no length or no elements")
+    if not min(areas) > 0:
+        raise ValueError("its areas must be positive")
+    return segment
 
 
 def _words(line: str) -> list[str]:

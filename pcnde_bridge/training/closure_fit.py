@@ -18,8 +18,8 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
-from pcnde_bridge.engines.equations import harmonic_frequencies, outlet_impedance, rate
 from pcnde_bridge.engines.protocol import Closures
+from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
 from pcnde_bridge.engines.types import Fit, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
 

@@ -9,8 +9,13 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines.equations import STEEPNESS, flow_at_stenosis, stenosis_drop, step_profile
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.shared_terms import (
+    STEEPNESS,
+    flow_at_stenosis,
+    stenosis_drop,
+    step_profile,
+)
 from pcnde_bridge.engines.types import Fit, OnIteration, SpatialPressureInputs
 from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.least_squares import solve_normal

@@ -7,9 +7,9 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.splits import Positions
-from pcnde_bridge.engines.equations import network_inputs, pressure_scale
 from pcnde_bridge.engines.parameters import layer_sizes
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.shared_terms import network_inputs, pressure_scale
 from pcnde_bridge.engines.types import Fit, OnIteration, TemporalPressureInputs
 from pcnde_bridge.training.least_squares import solve_normal
 from pcnde_bridge.training.variable_projection import Projection, VariableProjection

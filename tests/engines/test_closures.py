@@ -34,7 +34,7 @@ from helpers import (
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines import equations, select_engine
+from pcnde_bridge.engines import select_engine, shared_terms
 from pcnde_bridge.engines.closure_parameters import sizes
 from pcnde_bridge.engines.jax.closures import (
     correction,
@@ -280,8 +280,8 @@ def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
     @in_double
     def product(numbers, q, d, share, s_u, z):
         def with_rates(x):
-            first = equations.rate(x, 1.0, jnp)
-            return x, first, equations.rate(first, 1.0, jnp)
+            first = shared_terms.rate(x, 1.0, jnp)
+            return x, first, shared_terms.rate(first, 1.0, jnp)
 
         c = losses.coefficients(numbers, s_u, z, BLOOD)
         in_time, rates = map(jnp.stack, losses.modes_in_time(with_rates(q), with_rates(d)))

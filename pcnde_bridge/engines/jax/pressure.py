@@ -6,7 +6,10 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.equations import (
+from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.jax.separable import Separable
+from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
+from pcnde_bridge.engines.shared_terms import (
     STEEPNESS,
     flow_at_stenosis,
     network_drop,
@@ -14,9 +17,6 @@ from pcnde_bridge.engines.equations import (
     stenosis_drop,
     step_profile,
 )
-from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
-from pcnde_bridge.engines.jax.separable import Separable
-from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 def temporal(
@@ -76,7 +76,7 @@ def _hidden(
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Return the last hidden layer of g_θ, (case, time, hidden), and the linear output layer.
 
-    The inputs are those of :func:`~pcnde_bridge.engines.equations.network_inputs`.
+    The inputs are those of :func:`~pcnde_bridge.engines.shared_terms.network_inputs`.
     """
     stage, n_points = config.temporal_pressure, area_undeformed.shape[1]
     activation = ACTIVATIONS[stage.activation]

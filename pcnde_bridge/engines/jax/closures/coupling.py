@@ -35,15 +35,15 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import CorrectionClosure, Physics
-from pcnde_bridge.engines.equations import (
-    harmonic_frequencies,
-    outlet_impedance,
-    spectral_derivative,
-)
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.integrals import from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
+from pcnde_bridge.engines.shared_terms import (
+    harmonic_frequencies,
+    outlet_impedance,
+    spectral_derivative,
+)
 
 _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Harmonics of Q(L), bounds of the last two changes of Q(L), and number of passes."""

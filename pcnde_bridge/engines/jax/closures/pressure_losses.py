@@ -30,8 +30,8 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import Physics
-from pcnde_bridge.engines.equations import rate
 from pcnde_bridge.engines.jax.closures.integrals import summed_from_inlet, to_outlet
+from pcnde_bridge.engines.shared_terms import rate
 
 _Signals = tuple[jax.Array, ...]
 """Functions of time."""
