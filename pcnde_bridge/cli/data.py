@@ -110,7 +110,7 @@ def download(
 
 def doctor(
     load: Annotated[
-        bool, option("--load", help="Load Julia even if it must be compiled first (minutes).")
+        bool, option("Load Julia even if it must be compiled first (minutes).", "--load")
     ] = False,
 ) -> None:
     """Check engines and data on this machine and suggest fixes."""
