@@ -45,9 +45,9 @@ function LinearAlgebra.mul!(
     a::Vector{Float64},
     b::Adjoint{Float64, Vector{Float64}},
     factor::Number,
-    keep::Number,
+    retain::Number,
 )
-    isone(keep) || throw(ArgumentError("an InverseHessian can only be added to"))
+    isone(retain) || throw(ArgumentError("an InverseHessian can only be added to"))
     push!(h.factors, factor)
     push!(h.left, copy(a))
     push!(h.right, copy(parent(b)))

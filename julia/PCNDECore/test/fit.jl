@@ -1,12 +1,12 @@
 struct Quartic <: Objective
-    centre::Vector{Float64}
+    center::Vector{Float64}
 end
 
 PCNDECore.value!(q::Quartic, x) =
-    x[1] > 3 ? NaN : sum(abs2, (x .- q.centre) .^ 2) + sum(abs2, x)
+    x[1] > 3 ? NaN : sum(abs2, (x .- q.center) .^ 2) + sum(abs2, x)
 
 function PCNDECore.value_and_gradient!(g, q::Quartic, x)
-    g .= 4 .* (x .- q.centre) .^ 3 .+ 2 .* x
+    g .= 4 .* (x .- q.center) .^ 3 .+ 2 .* x
     return value!(q, x)
 end
 
