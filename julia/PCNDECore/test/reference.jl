@@ -55,7 +55,8 @@ end
 Mean squared error of the flow.
 """
 reference_loss(problem::ReferenceFlow, parameters) =
-    sum(abs2, reference_solution(problem, parameters) .- problem.target) / length(problem.target)
+    sum(abs2, reference_solution(problem, parameters) .- problem.target) /
+    length(problem.target)
 
 """
     reference_gradient(problem, parameters)
