@@ -381,6 +381,8 @@ class PCNDE(Predictor):
             spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
             uncertainty = Uncertainty(**spread) if spread else None
             kind.check(config, parameters, grid, uncertainty)
+            # Older files spell "centre".
+            known = {name.replace("centre", "center"): array for name, array in known.items()}
             novelty = Novelty(**known) if known else None
             if novelty is not None:
                 novelty.check()

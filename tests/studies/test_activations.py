@@ -70,7 +70,7 @@ def test_explained_variance_by_hand():
     ("change", "words"),
     [
         ({"activations": ["cosine"]}, "cosine"),
-        ({"activations": []}, "at least one"),
+        ({"activations": []}, "Give some activations"),
         ({"activations": ["relu", "relu"]}, "none twice"),
         ({"seeds": []}, "at least one"),
         ({"seeds": [0, 0]}, "none twice"),

@@ -105,7 +105,7 @@ def test_bad_arguments_of_the_noise(toy_model, hardest, change, words):
 
 
 def test_noise_needs_one_case_on_the_models_grid(toy_model, small_cases, hardest):
-    with pytest.raises(InputError, match="takes one case, got 12"):
+    with pytest.raises(InputError, match="needs one case, got 12"):
         noise_study(toy_model, small_cases)
     other = type(hardest)(
         hardest.flow[:, :, 1:],

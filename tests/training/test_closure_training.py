@@ -63,7 +63,8 @@ def records(physics_records):
 def test_what_the_closures_made_is_learnt(model, cases):
     errors = model.evaluate(cases).iloc[-1]
     # A few evaluations; a passive tube alone leaves 1e-2 of the flow.
-    assert (errors < pd.Series({"flow": 1e-3, "area": 5e-4, "pressure": 1e-3})).all()
+    limits = pd.Series({"flow": 1e-3, "area": 5e-4, "pressure": 1e-3})
+    assert (errors[limits.index] < limits).all()
     assert model.config == PHYSICS_CONFIG.replace(wall={"law": "membrane"})
     assert model.parameters.outlet == pytest.approx(CORRECTED.outlet, rel=1e-3)
     assert model.parameters.losses == pytest.approx(CORRECTED.losses, rel=0.05)
