@@ -127,7 +127,8 @@ def read_cycle(
             f"{path}, line {line_of(path, 0)}: time starts at {time[0]:g} s, but it must start at "
             f"{start:g} s, as the model's cycle does; shift the cycle, or pass --interpolate."
         )
-    closed = _ends_as_it_begins(_rows(columns), span, usual_period)
+    rows = _rows(columns)
+    closed = bool(np.isfinite(rows).all()) and _ends_as_it_begins(rows, span, usual_period)
     if period is None:
         if closed and Path(path).suffix.lower() not in (".flow", ".dat"):
             raise InputError(

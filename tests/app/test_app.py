@@ -221,11 +221,11 @@ def test_uploads_are_read_as_on_the_command_line(model, bound):
     [
         (b"", "Cannot read a table from bad.csv"),
         (b"\x89PNG\r\n\x1a\n\xff\xfe", "Cannot read a table from bad.csv"),
-        (b"t,flow\n0,1\n1,2\n", r"bad.csv must have the columns time, then one"),
+        (b"x,flow\n0,1\n1,2\n", r"bad.csv must have the columns time, then one"),
         (b"time,flow\n0,1\n0.1,fast\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
         (b"time,flow\n0,1\n0.1,\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
         (b"time,flow\n0,1\n0.1,inf\n0.2,1\n", r"bad.csv: flow\[1\] is inf"),
-        (b"time,flow\n0,1\n0.1,2\n0.3,1\n", "bad.csv, line 3: the time points are not equally"),
+        (b"time,flow\n0,1\n0.1,2\n0.3,3\n", "bad.csv, line 3: the time points are not equally"),
         (b"time,flow\n0,1\n0.1,2\n", "bad.csv: A waveform needs at least 3 samples"),
     ],
 )
