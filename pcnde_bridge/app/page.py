@@ -24,7 +24,7 @@ NO_CURVES = Panel(Line(np.empty(0), np.empty(0)))
 """Panel without curves."""
 
 COMPARISONS = {"interval": "90 % interval", "solver": "1D solver"}
-"""What the prediction can be compared with."""
+"""Methods that the prediction can be compared with."""
 
 _DIGITS = 6  # far below the visible differences, so that little is sent
 _INK, _RULE, _AXIS = "#1f2933", "#e4e7eb", "#9aa5b1"
