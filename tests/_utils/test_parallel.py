@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from parallel_tasks import fail_until, kill_once, nproc, sleep_unless_last, slowly, work
 
 from pcnde_bridge import (
     FileError,
@@ -27,40 +28,8 @@ from pcnde_bridge._utils.parallel import (
 from pcnde_bridge._utils.result_folder import remove_results
 
 
-def work(seed):
-    """Return a result that depends on every bit of the seed's random numbers."""
-    numbers = np.random.default_rng(seed).standard_normal(100)
-    return {"numbers": numbers, "sum": float(numbers.sum()), "where": {"seed": seed}}
-
-
 def refuse(task):
     raise AssertionError("was done before")
-
-
-def fail_until(task):
-    """Fail the number of times that the task gives; the count is in a file."""
-    path, times, error = task
-    done = len(path.read_text()) if path.exists() else 0
-    path.write_text("x" * (done + 1))
-    if done < times:
-        raise error
-    return done
-
-
-def kill_once(task):
-    """Kill this process the first time, or every time."""
-    path, often = task
-    if path is None:
-        time.sleep(0.2)  # so that the pool breaks while this runs
-        return os.getpid()
-    if often or not path.exists():
-        path.write_text("")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return os.getpid()
-
-
-def nproc(_):
-    return os.environ.get("NPROC")
 
 
 def same(results, others):
@@ -155,20 +124,6 @@ def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
         assert "pass a function that creates pools, such as processes(2)" in outcome.failures["t2"]
         again = run(kill_once, {"t": (None, False)}, executor=pool, progress=False)
         assert list(again.failures) == ["t"]
-
-
-def sleep_unless_last(task):
-    """Sleep, or end the run once the other one sleeps."""
-    path, last, interrupt = task
-    if not last:
-        path.write_text(str(os.getpid()))
-        time.sleep(600)
-    while not (path.exists() and path.read_text()):
-        time.sleep(0.02)
-    if interrupt:
-        os.kill(os.getppid(), signal.SIGINT)
-        time.sleep(600)
-    return "no mapping, so it cannot be stored"
 
 
 @pytest.mark.parametrize(("interrupt", "error"), [(False, InputError), (True, KeyboardInterrupt)])
@@ -278,14 +233,6 @@ def client():
         yield client
 
 
-def slowly(task):
-    """Report the worker, and take long enough to be killed."""
-    seed, folder = task
-    (folder / f"{os.getpid()}-{seed}").touch()
-    time.sleep(0.3)
-    return work(seed)
-
-
 def test_dask_gives_the_same(client, serial):
     outcome = run(work, SEEDS, executor=client.get_executor(), progress=False)
     assert same(outcome.check(), serial)
@@ -299,7 +246,10 @@ def test_dask_with_a_worker_killed_midway_gives_the_same(client, serial, tmp_pat
     killed = []
 
     def kill():
+        until = time.monotonic() + 60
         while not list(kept.glob("*.npz")) or len(list(began.iterdir())) < 3:
+            if time.monotonic() > until:
+                return
             time.sleep(0.02)
         newest = max(began.iterdir(), key=lambda path: path.stat().st_mtime_ns)
         killed.append(int(newest.name.partition("-")[0]))
