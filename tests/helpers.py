@@ -241,19 +241,16 @@ def with_labels(cases, labels):
     return Cases(cases.flow, cases.area, cases.pressure, *axes, period=cases.period, labels=labels)
 
 
-# Preset ``fast`` with few iterations, and a validation set.
+# Preset ``fast`` with few iterations.
 LITTLE = FAST.replace(
     coupling_passes=2,
     full_batch={
         "rounds": 2,
-        "validation": 0.3,
         "collocation_iterations": 6,
         "whitening": 1e-2,
         "iterations": 8,
         "later_iterations": 5,
         "pressure_iterations": 12,
-        "patience": 4,
-        "check_every": 2,
     },
 )
 

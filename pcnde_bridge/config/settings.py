@@ -255,11 +255,7 @@ class FullBatch(Section):
     ----------
     rounds : int
         Number of fits of the flow, each followed by a fit of the area, which is then coupled
-        back.  With a validation set, the first round fits the networks to the other cases
-        and stops by the validation error; later rounds continue on all cases.
-    starts : int
-        Fits of the flow in the first round, each from other random weights; the one with
-        the lowest loss (or validation error, if there is a validation set) continues.
+        back.
     mean_flow : {'area', 'data'}
         Source of the mean over the cycle of the flow's target: consistent with the
         reference area (:func:`pcnde_bridge.training.flow_fit.balanced_flow`), or the mean
@@ -268,22 +264,15 @@ class FullBatch(Section):
         The squared flow errors of a case are weighted by the range of its inflow to the
         power of minus this exponent; 0 weights all cases alike.
     collocation_iterations : int
-        L-BFGS iterations of each of these fits by collocation on the reference flow
-        (:mod:`pcnde_bridge.training.collocation`), and of the one in each later round.
+        L-BFGS iterations of the fit by collocation on the reference flow in each round
+        (:mod:`pcnde_bridge.training.collocation`).
     iterations, later_iterations : int
         L-BFGS iterations of the equation itself, in the first and in each later round; with
         physics terms, the iterations of collocation are added to them.
     pressure_iterations : int
-        L-BFGS iterations of each of the pressure fits.
+        L-BFGS iterations of each pressure stage.
     memory : int
         Pairs of steps and gradient changes that L-BFGS stores.
-    validation : float
-        Approximate fraction of the cases in the validation set, which consists of whole
-        waveforms and whole geometries; with too few cases there is none.  0 fits all cases
-        from the first round for the given iterations, which gave lower errors.
-    patience, check_every : int
-        Iterations without a lower validation error after which a fit ends, and iterations
-        between two evaluations of it.
     whitening : float
         Variance, relative to the largest, below which a component of a network's inputs is
         not amplified to the size of the others.
@@ -293,7 +282,6 @@ class FullBatch(Section):
     """
 
     rounds: int = positive(2)
-    starts: int = positive(1)
     mean_flow: Literal["area", "data"] = "area"
     amplitude_exponent: float = 1.5
     collocation_iterations: int = positive(120)
@@ -301,9 +289,6 @@ class FullBatch(Section):
     later_iterations: int = positive(60)
     pressure_iterations: int = positive(100)
     memory: int = positive(100)
-    validation: float = 0.0
-    patience: int = positive(30)
-    check_every: int = positive(10)
     whitening: float = positive(1e-1)
     weight_decay: float = 1e-7
     pressure_weight_decay: float = 1e-3

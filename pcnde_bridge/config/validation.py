@@ -24,12 +24,17 @@ _CURRENT_NAMES = {
 }
 """Settings and choices by the names that older files give them."""
 
+_FORMER_SETTINGS = {"check_every", "patience", "starts", "validation"}
+"""Settings of the training on all cases that older files have, and that no fit uses now."""
+
 
 def current_names(settings: Any) -> Any:
     """Return settings read from a file with older names replaced by the current ones."""
     if isinstance(settings, Mapping):
         return {
-            _CURRENT_NAMES.get(name, name): current_names(value) for name, value in settings.items()
+            _CURRENT_NAMES.get(name, name): current_names(value)
+            for name, value in settings.items()
+            if name not in _FORMER_SETTINGS
         }
     return _CURRENT_NAMES.get(settings, settings) if isinstance(settings, str) else settings
 

@@ -12,8 +12,6 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions as Positions
 from pcnde_bridge.errors import InputError
 
-_FEWEST = 8  # cases, below which there is no validation set
-
 
 def each_waveform_and_geometry(cases: Cases) -> dict[tuple[str, int], Positions]:
     """Return the cases of every waveform, then of every geometry, for cross-validation.
@@ -62,39 +60,3 @@ def neighboring_folds(cases: Cases, folds: int) -> list[Positions]:
     if found:
         return found
     return [np.arange(k, len(cases), folds) for k in range(folds) if len(cases) > folds]
-
-
-def training_and_validation(cases: Cases, share: float, seed: int) -> tuple[Positions, ...]:
-    """Return the training cases and, if there are enough cases, the validation cases.
-
-    Whole waveforms and whole geometries, alternately and in random order, are moved into
-    the validation set until it has its share of the cases.  Labels with a single value are
-    not used; if no label groups the cases, single cases are moved.
-
-    Parameters
-    ----------
-    cases : Cases
-        All training cases.
-    share : float
-        Fraction of the cases in the validation set.
-    seed : int
-        Seed of the random order.
-    """
-    rng, count = np.random.default_rng(seed), len(cases)
-    everything = np.arange(count)
-    wanted = round(share * count)
-    if count < _FEWEST or wanted == 0:
-        return (everything,)
-    held_out = np.zeros(count, dtype=bool)
-    groups = [cases.labels[name].to_numpy() for name in ("waveform", "geometry")]
-    columns = [g for g in groups if 1 < len(np.unique(g)) < count]
-    queues = [list(rng.permutation(np.unique(g))) for g in columns]
-    while held_out.sum() < wanted and any(queues):
-        for column, queue in zip(columns, queues, strict=True):
-            # A group that would leave less than half of the cases for training is skipped.
-            if queue and held_out.sum() < wanted:
-                larger = held_out | (column == queue.pop())
-                held_out = larger if larger.sum() <= count // 2 else held_out
-    if not held_out.any():
-        held_out[rng.permutation(count)[:wanted]] = True
-    return everything[~held_out], everything[held_out]

@@ -175,9 +175,7 @@ class Parameters(ParameterVectors):
                 )
 
 
-def initial_parameters(
-    config: PCNDEConfig, n_times: int, n_points: int, seed: int, start: int = 0
-) -> Parameters:
+def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: int) -> Parameters:
     """Create the parameters before training.
 
     Networks start Glorot-uniform with zero bias; â = a = 1 and b̂ = b = 0, which
@@ -192,18 +190,18 @@ def initial_parameters(
         Time points per cycle and points along the vessel.
     seed : int
         Random seed of the networks' weights; each stage has its own stream.
-    start : int
-        Number of the start: other weights for the same seed.
     """
     correction = np.concatenate([np.ones(n_points), np.zeros(n_points)])
+
+    def network(stage: str) -> Array:
+        rng = np.random.default_rng([seed, STAGES.index(stage), 0])
+        return _glorot(layer_sizes(stage, config, n_times, n_points), rng)
+
     return Parameters(
-        flow=_glorot(layer_sizes("flow", config, n_times, n_points), _stream(seed, "flow", start)),
+        flow=network("flow"),
         intermediate_area=correction,
         fourier_area=correction,
-        temporal_pressure=_glorot(
-            layer_sizes("temporal_pressure", config, n_times, n_points),
-            _stream(seed, "temporal_pressure", start),
-        ),
+        temporal_pressure=network("temporal_pressure"),
         spatial_pressure=np.concatenate([np.zeros(2 + n_times), np.ones(n_times)]),
     )
 
@@ -217,10 +215,6 @@ def initial_temporal_flow(config: PCNDEConfig, n_points: int, seed: int) -> Arra
     # This stream is not used by any stage of the model.
     rng = np.random.default_rng([seed, len(STAGES)])
     return _glorot(layer_sizes("temporal_flow", config, 0, n_points), rng)
-
-
-def _stream(seed: int, stage: str, start: int) -> np.random.Generator:
-    return np.random.default_rng([seed, STAGES.index(stage), start])
 
 
 def _glorot(widths: Sequence[int], rng: np.random.Generator) -> Array:

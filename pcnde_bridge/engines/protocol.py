@@ -248,7 +248,7 @@ class Engine(Protocol):
             Maximum number of iterations.
         on_iteration : callable
             Called with a copy of each accepted iterate and its loss.  Its exceptions end the
-            fit and are propagated, except StopIteration.
+            fit and are propagated.
         """
 
     def predict(

@@ -30,7 +30,7 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training import minibatch
-from pcnde_bridge.training.area_fit import fit_area
+from pcnde_bridge.training.area_fit import fit_area, fit_area_stage
 from pcnde_bridge.training.history import Iteration, Recorder
 from pcnde_bridge.training.procedure import Procedure, RunState, Step
 from pcnde_bridge.training.trainer import Session, Trainer, training_session
@@ -231,7 +231,7 @@ class _FormulationTraining(Procedure[_FormulationState]):
             first = initial_parameters(config, cases.n_times, cases.n_points, seed).flow
         else:
             first = initial_temporal_flow(config, cases.n_points, seed)
-        batches = minibatch.divide(cases, config, seed)
+        batches = minibatch.random_batches(cases, config, seed)
         return _FormulationState(seed=seed, batches=batches, parameters=first)
 
     def steps(self, state: _FormulationState) -> list[Step]:
@@ -277,11 +277,16 @@ def _evaluate(
 ) -> dict[str, FormulationResult]:
     """Return slopes and areas for the flow of each subset."""
     train = subsets["train"]
+
+    def fit(stage: str, inputs: Any, target: Array) -> Array:
+        data = inputs, target, train.grid, config
+        return fit_area_stage(getattr(engine, stage), *data).parameters
+
     uncorrected = np.repeat([1.0, 0.0], train.n_points)
     parameters = initial_parameters(config, train.n_times, train.n_points, 0)
     if np.isfinite(flows["train"]).all():
-        intermediate, fourier = fit_area(flows["train"], train, engine, config)
-        parameters = parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
+        fitted = fit_area(flows["train"], train, engine, config, fit)
+        parameters = parameters.replace(**fitted)
     results = {}
     for subset, cases in subsets.items():
         flow, start = flows[subset], cases.area_undeformed

@@ -32,8 +32,7 @@ from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.procedure import TrainingState
-from pcnde_bridge.training.staged_training import StagedTraining
+from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
 from pcnde_bridge.training.trainer import Session, Trainer, staged_training, training_session
 
 Moment = Literal["initial", "coupled"]
@@ -360,7 +359,7 @@ def _evaluate(
     name: str, procedure: StagedTraining, moment: Moment, state: TrainingState, **around: Any
 ) -> Landscape:
     """Return the landscape of the first batch, with the area that the network then uses."""
-    cases, area, batch = procedure.cases, procedure.coupled_area(state), state.batches[0]
+    cases, area, batch = procedure.cases, state.area, state.batches[0]
     inputs, target = FlowInputs(cases.inflow[batch], area[batch]), cases.flow[batch]
     run = inputs, target, cases.grid, procedure.config
     losses = loss_landscape(procedure.engine, state.parameters.flow, *run, **around)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from pcnde_bridge.engines.protocol import Engine, Stage
 from pcnde_bridge.engines.staged import initial_area
 from pcnde_bridge.engines.types import Fit, FourierAreaInputs, IntermediateAreaInputs, OnIteration
 from pcnde_bridge.training.least_squares import solve_per_point
+
+FitStage = Callable[[str, Any, Array], Array]
+"""Fits a stage, given its name, inputs and target; returns its parameters."""
 
 
 def fit_area_stage(
@@ -52,12 +56,26 @@ def fit_area_stage(
     return Fit(unknowns.ravel(), np.array([loss]), True, "least squares")
 
 
-def fit_area(flow: Array, cases: Cases, engine: Engine, config: PCNDEConfig) -> tuple[Array, Array]:
-    """Fit both area stages on a flow (case, time, z): return (â, b̂) and (a, b)."""
-    grid = cases.grid
-    first = IntermediateAreaInputs(flow, cases.area_undeformed)
-    intermediate = fit_area_stage(engine.intermediate_area, first, cases.area, grid, config)
-    start = engine.intermediate_area.solve(intermediate.parameters, first, grid, config)
-    second = FourierAreaInputs(flow, initial_area(start, cases.n_times, config))
-    fourier = fit_area_stage(engine.fourier_area, second, cases.area, grid, config)
-    return intermediate.parameters, fourier.parameters
+def fit_area(
+    flow: Array, cases: Cases, engine: Engine, config: PCNDEConfig, fit: FitStage
+) -> dict[str, Array]:
+    """Fit both area stages on a flow (case, time, z).
+
+    Parameters
+    ----------
+    flow, cases, engine, config
+        Flow, mL/s, training cases, compute engine and settings.
+    fit : callable
+        Fits one stage, given its name, inputs and target; returns its parameters.
+
+    Returns
+    -------
+    dict of arrays
+        Parameters by the names of the stages.
+    """
+    inputs = IntermediateAreaInputs(flow, cases.area_undeformed)
+    intermediate = fit("intermediate_area", inputs, cases.area)
+    cycles = engine.intermediate_area.solve(intermediate, inputs, cases.grid, config)
+    start = initial_area(cycles, cases.n_times, config)
+    fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
+    return {"intermediate_area": intermediate, "fourier_area": fourier}

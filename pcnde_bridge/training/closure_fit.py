@@ -8,8 +8,7 @@ same parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import lru_cache
 
 import numpy as np
 
@@ -42,13 +41,22 @@ _SMALLEST_STORAGE = 0.01
 _CEILINGS = (0.01, 0.95)
 
 
-class _Parameter(NamedTuple):
-    """Given value of a parameter, or None; else the start of its fit, and its bounds."""
+_Bounded = tuple[float, float, float]
+"""Start of a parameter's fit, and its lower and upper bound."""
 
-    given: float | None
-    start: float
-    low: float = -np.inf
-    high: float = np.inf
+_UNBOUNDED = -np.inf, np.inf
+_LOSSES: dict[str, _Bounded] = {
+    "friction": (1.0, 0.01, 100.0),
+    "inertia": (1.0, 0.01, 100.0),
+    "convection": (1.0, 0.01, 100.0),
+    "jet_spread": (0.1, 1e-3, 10.0),
+}
+_MEMBRANE: dict[str, _Bounded] = {
+    "poisson": (0.45, 0.0, 0.5),
+    "shear": (0.2, 1e-4, 10.0),
+    "support": (1.0, 1e-6, 1e4),
+}
+_TUBE_LAW: dict[str, _Bounded] = {"exponent": (0.0, -10.0, 10.0)}
 
 
 def fit_outlet(cases: Cases, config: ClosureConfig) -> Array:
@@ -113,21 +121,18 @@ def fit_losses(
     closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit friction, inertia, convection and jet spread to p − p(L), with the reference flow."""
-    given = config.losses
     target = cases.pressure - cases.pressure[:, :, -1:]
     problem = closures.losses(cases.flow, cases.area_undeformed, cases.grid, config)
-    factors = given.friction, given.inertia, given.convection
-    parameters = [_Parameter(factor, 1.0, 0.01, 100.0) for factor in factors]
-    parameters.append(_Parameter(given.jet_spread, 0.1, 1e-3, 10.0))
     residual = _relative(problem, target, float(np.linalg.norm(cases.pressure)))
-    return _solve(residual, parameters, config.correction.evaluations, on_iteration)
+    given = [getattr(config.losses, name) for name in _LOSSES]
+    evaluations = config.correction.evaluations
+    return _solve(residual, list(_LOSSES.values()), given, evaluations, on_iteration)
 
 
 def fit_wall(
     closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit the wall parameters to S, with the reference pressure."""
-    given = config.wall
     times = np.unique(np.linspace(0, cases.n_times - 1, _WALL_TIMES).astype(int))
     pressure, target = cases.pressure[:, times], cases.area[:, times]
     problem = closures.area(pressure, cases.area_undeformed, cases.grid, config)
@@ -138,19 +143,18 @@ def fit_wall(
     slope, offset = np.polyfit(strain.ravel(), pressure[:, :, point].ravel(), 1)
     stiffness = max(float(slope), float(np.ptp(pressure)) * 1e-3)
     zero = float(offset) if abs(offset) > 0.2 * float(np.abs(pressure).max()) else 0.0
-    if given.law == "membrane":
+    membrane = config.wall.law == "membrane"
+    if membrane:
         stiffness *= float(radius.mean())
-        others = [
-            _Parameter(given.poisson, 0.45, 0.0, 0.5),
-            _Parameter(given.shear, 0.2, 1e-4, 10.0),
-            _Parameter(given.support, 1.0, 1e-6, 1e4),
-        ]
-    else:
-        others = [_Parameter(given.exponent, 0.0, -10.0, 10.0)]
-    first = _Parameter(given.stiffness, stiffness, stiffness * 1e-3, stiffness * 1e3)
-    parameters = [first, *others, _Parameter(given.zero_pressure, zero)]
+    parameters = {
+        "stiffness": (stiffness, stiffness * 1e-3, stiffness * 1e3),
+        **(_MEMBRANE if membrane else _TUBE_LAW),
+        "zero_pressure": (zero, *_UNBOUNDED),
+    }
     residual = _relative(problem, target, float(np.linalg.norm(target)))
-    return _solve(residual, parameters, config.correction.evaluations, on_iteration)
+    given = [getattr(config.wall, name) for name in parameters]
+    evaluations = config.correction.evaluations
+    return _solve(residual, list(parameters.values()), given, evaluations, on_iteration)
 
 
 def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generator) -> Array:
@@ -164,9 +168,8 @@ def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generat
     stored = rate(volume, cases.period)
     lost = cases.inflow - cases.flow[:, :, -1]
     clear = np.abs(stored) > 0.1 * np.abs(stored).max()
-    kappa = config.correction.storage or max(
-        float(np.median(lost[clear] / stored[clear])), _SMALLEST_STORAGE
-    )
+    seen = float(np.median(lost[clear] / stored[clear]))
+    kappa = config.correction.storage or max(seen, _SMALLEST_STORAGE)
     strong = stored > 0.5 * stored.max()
     ceiling = np.quantile(1 - lost[strong] / (kappa * stored[strong]), _SHARE_QUANTILE)
     slope = rate(cases.pressure[:, :, -1], cases.period)
@@ -216,29 +219,23 @@ def fit_correction(
     points = np.unique(np.linspace(0, cases.n_points - 1, _FLOW_POINTS + 1).astype(int)[1:])
     target = cases.flow[:, :, points]
     factor = 100 * weight[:, None, None] / np.linalg.norm(weight[:, None, None] * target)
-    kappa, fixed, weights = np.split(first, [1, CORRECTION_SCALARS])
     problem = closures.flow(others, cases.inflow, cases.area_undeformed, points, cases.grid, config)
     # The weights decay towards a correction that is off.
-    decay = np.sqrt(settings.weight_decay)
-    prior = np.zeros((weights.size, weights.size + 1))
-    prior[:, 1:] = decay * np.eye(weights.size)
-    center = np.zeros(weights.size)
+    n_weights, decay = first.size - CORRECTION_SCALARS, np.sqrt(settings.weight_decay)
+    prior = decay * np.eye(n_weights, first.size, CORRECTION_SCALARS)
+    center = np.zeros(n_weights)
     center[-1] = _FIRST_LOGIT
 
-    def whole(x: Array) -> Array:
-        return np.concatenate([x[:1], fixed, x[1:]])
-
     def residual(x: Array) -> tuple[Array, Array]:
-        value, jacobian = problem(whole(x))
+        value, jacobian = problem(x)
         error = (factor * (value - target)).ravel()
-        slope = factor[..., None] * np.delete(jacobian, np.arange(1, CORRECTION_SCALARS), axis=-1)
-        slope = slope.reshape(-1, x.size)
-        return np.concatenate([error, decay * (x[1:] - center)]), np.concatenate([slope, prior])
+        slope = (factor[..., None] * jacobian).reshape(-1, x.size)
+        distance = decay * (x[CORRECTION_SCALARS:] - center)
+        return np.concatenate([error, distance]), np.concatenate([slope, prior])
 
-    parameters = [_Parameter(settings.storage, float(kappa[0]))]
-    parameters += [_Parameter(None, float(weight)) for weight in weights]
-    found = _solve(residual, parameters, evaluations, on_iteration)
-    return replace(found, parameters=whole(found.parameters))
+    starts = [(start, *_UNBOUNDED) for start in first]
+    given = [settings.storage, *first[1:CORRECTION_SCALARS], *[None] * n_weights]
+    return _solve(residual, starts, given, evaluations, on_iteration)
 
 
 def _relative(problem: Problem, target: Array, scale: float) -> Problem:
@@ -253,28 +250,51 @@ def _relative(problem: Problem, target: Array, scale: float) -> Problem:
 
 def _solve(
     residual: Problem,
-    parameters: Sequence[_Parameter],
+    starts: Sequence[_Bounded],
+    given: Sequence[float | None],
     evaluations: int,
     on_iteration: OnIteration | None,
 ) -> Fit:
     """Minimize ½|residual|² over the parameters that are not given."""
     from scipy.optimize import least_squares
 
-    x = np.array([p.start if p.given is None else p.given for p in parameters])
-    free = np.array([p.given is None for p in parameters])
+    known = np.array(given, dtype=float)
+    free = np.isnan(known)
     if not free.any():
-        return Fit(x, np.empty(0), True, "all parameters are given")
-    problem = _FreeProblem(residual, x, free, on_iteration)
-    if not np.isfinite(residual(x)[0]).all():
+        return Fit(known, np.empty(0), True, "all parameters are given")
+    first, low, high = np.array(starts)[free].T
+    losses: list[float] = []
+
+    def whole(part: Array) -> Array:
+        result = known.copy()
+        result[free] = part
+        return result
+
+    @lru_cache(maxsize=1)  # SciPy asks for the residual, then for the Jacobian at the same point
+    def evaluate(part: bytes) -> tuple[Array, Array]:
+        value, jacobian = residual(whole(np.frombuffer(part)))
+        return value.ravel(), jacobian.reshape(-1, free.size)[:, free]
+
+    def value(part: Array) -> Array:
+        error, _ = evaluate(part.tobytes())
+        if not np.isfinite(error).all():
+            return np.full_like(error, 1e6)
+        loss = float(error @ error)
+        if not losses or loss < losses[-1]:
+            losses.append(loss)
+            if on_iteration is not None:
+                on_iteration(len(losses), loss)
+        return error
+
+    if not np.isfinite(evaluate(first.tobytes())[0]).all():
         raise SolveError(
             "The closures cannot be evaluated at their first values. Check the units of the "
             "training cases (mL/s, cm², dyn/cm²)."
         )
-    low, high = np.array([(p.low, p.high) for p in parameters])[free].T
     found = least_squares(
-        problem.value,
-        x[free],
-        problem.jacobian,
+        value,
+        first,
+        lambda part: evaluate(part.tobytes())[1],
         bounds=(low, high),
         method="trf" if np.isfinite([low, high]).any() else "lm",
         x_scale="jac",
@@ -283,46 +303,4 @@ def _solve(
     )
     met = _TOLERANCES[found.status]
     outcome = f"{met} tolerance" if met else "all evaluations done"
-    return Fit(problem.whole(found.x), np.array(problem.losses), bool(met), outcome)
-
-
-@dataclass
-class _FreeProblem:
-    """Least-squares problem in the free parameters, with the Jacobian of the last evaluation.
-
-    ``losses`` has the loss of each evaluation that decreased it.
-    """
-
-    residual: Problem
-    start: Array
-    free: Array
-    on_iteration: OnIteration | None
-    losses: list[float] = field(default_factory=list)
-    _last: tuple[Array, Array] | None = None
-
-    def whole(self, part: Array) -> Array:
-        """Return all parameters, the given ones included."""
-        whole = self.start.copy()
-        whole[self.free] = part
-        return whole
-
-    def value(self, part: Array) -> Array:
-        """Return the residual; where it is not finite, a large one in its place."""
-        r, jacobian = self.residual(self.whole(part))
-        r, jacobian = r.ravel(), jacobian.reshape(-1, self.start.size)[:, self.free]
-        if not np.isfinite(r).all():
-            return np.full_like(r, 1e6)
-        self._last = part.copy(), jacobian
-        loss = float(r @ r)
-        if not self.losses or loss < self.losses[-1]:
-            self.losses.append(loss)
-            if self.on_iteration is not None:
-                self.on_iteration(len(self.losses), loss)
-        return r
-
-    def jacobian(self, part: Array) -> Array:
-        """Return the Jacobian, which every evaluation gives with the residual."""
-        if self._last is None or not np.array_equal(self._last[0], part):
-            self.value(part)
-        assert self._last is not None
-        return self._last[1]
+    return Fit(whole(found.x), np.array(losses), bool(met), outcome)

@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
 from pcnde_bridge.data.splits import neighboring_folds
-from pcnde_bridge.engines.closure_parameters import CLOSURES, sizes
+from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit
 from pcnde_bridge.training.history import Recorder
-from pcnde_bridge.training.procedure import ClosureState, Procedure, Step
+from pcnde_bridge.training.procedure import Procedure, RunState, Step
 from pcnde_bridge.uncertainty.sampling import calibrate
 
 _CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
 _RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosureState(RunState):
+    """State of a run that fits the closures of the ``physics`` preset.
+
+    Attributes
+    ----------
+    vectors : dict of arrays
+        Closures fitted so far, by name, then the ensemble's ``member_0``, ``member_1``, ….
+    """
+
+    vectors: dict[str, Array]
+
+    @property
+    def parameters(self) -> ClosureParameters:
+        """All closures; those that are not fitted yet are empty."""
+        return ClosureParameters(**{name: self.vectors.get(name, np.empty(0)) for name in CLOSURES})
 
 
 class ClosureTraining(Procedure[ClosureState]):
@@ -84,14 +102,13 @@ class ClosureTraining(Procedure[ClosureState]):
             If the equations cannot be evaluated.
         """
         cases, config, closures = self.cases, self.config, self.engine.closures
-        name = step.task
+        name, weight = step.task, np.ones(len(cases))
         if name == "outlet":
-            return self._add(state, name, closure_fit.fit_outlet(cases, config))
-        if name in ("losses", "wall"):
-            fit_closure = getattr(closure_fit, f"fit_{name}")
+            return _with(state, name, closure_fit.fit_outlet(cases, config))
+        if name != "correction":
+            fit_closure = {"losses": closure_fit.fit_losses, "wall": closure_fit.fit_wall}[name]
             optimize = partial(fit_closure, closures, cases, config)
-            return self._add(state, name, recorder.run(name, 1, 1, optimize))
-        weight = np.ones(len(cases))
+            return _with(state, name, recorder.run(name, 1, 1, optimize))
         if step.epoch == 1:
             rng = np.random.default_rng([state.seed, 0])
             first = closure_fit.first_correction(cases, config, rng)
@@ -102,11 +119,7 @@ class ClosureTraining(Procedure[ClosureState]):
             weight[self._left_out[step.epoch - 2]] = 0
         fitted = state.parameters, cases, config, first, weight, evaluations
         optimize = partial(closure_fit.fit_correction, closures, *fitted)
-        return self._add(state, name, recorder.run("correction", step.epoch, 1, optimize))
-
-    @staticmethod
-    def _add(state: ClosureState, name: str, vector: AnyArray) -> ClosureState:
-        return replace(state, vectors={**state.vectors, name: vector})
+        return _with(state, name, recorder.run("correction", step.epoch, 1, optimize))
 
     def finish(self, state: ClosureState) -> ClosureState:
         """Calibrate the uncertainty on the folds that were left out."""
@@ -117,11 +130,6 @@ class ClosureTraining(Procedure[ClosureState]):
         fitted = self.engine.closures, state.parameters, members, self._left_out
         uncertainty = calibrate(*fitted, self.cases, self.config, rng)
         return replace(state, uncertainty=uncertainty)
-
-    def count_numbers(self, _: ClosureState) -> int:
-        """Count the parameters of all closures and members."""
-        lengths = sizes(self.config)
-        return sum(lengths.values()) + len(self._left_out) * lengths["correction"]
 
     def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         """Return facts and arrays of a checkpoint."""
@@ -144,6 +152,10 @@ class ClosureTraining(Procedure[ClosureState]):
             if vector.shape != (needed,) or not np.isfinite(vector).all():
                 raise ValueError(f"{name} must be {needed} finite numbers, got {vector.shape}")
         return ClosureState(seed=facts["seed"], finished=len(vectors), vectors=vectors)
+
+
+def _with(state: ClosureState, name: str, vector: AnyArray) -> ClosureState:
+    return replace(state, vectors={**state.vectors, name: vector})
 
 
 def _check(cases: Cases) -> None:

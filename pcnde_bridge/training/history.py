@@ -53,7 +53,14 @@ class Iteration(NamedTuple):
 OnIteration = Callable[[Iteration], None]
 """Callback with every iteration; it may raise to stop."""
 
+RunFit = Callable[[str, int, int, Callable[[OnLoss], Fit]], Array]
+"""Signature of :meth:`Recorder.run`."""
+
 _NUMBERS = Iteration._fields[:-1]
+
+
+def ignore(_: object) -> None:
+    """Do nothing: the default callback."""
 
 
 def to_frame(history: Sequence[Iteration]) -> pd.DataFrame:
@@ -99,17 +106,16 @@ class Recorder:
     ----------
     began : float
         Time (``time.perf_counter``) at which training began.
-    on_iteration : callable, optional
-        Called with every :class:`Iteration`; may raise to stop.
-    on_fit_end : callable, optional
-        Called with the outcome of every fit.
+    on_iteration, on_fit_end : callable
+        Called with every :class:`Iteration`, which may raise to stop, and with the outcome of
+        every fit.
     iterations : list of Iteration
         All iterations so far.
     """
 
     began: float
-    on_iteration: OnIteration | None = None
-    on_fit_end: Callable[[str], None] | None = None
+    on_iteration: OnIteration = ignore
+    on_fit_end: Callable[[str], None] = ignore
     iterations: list[Iteration] = field(default_factory=list)
 
     def run(self, stage: str, epoch: int, batch: int, fit: Callable[[OnLoss], Fit]) -> Array:
@@ -127,13 +133,11 @@ class Recorder:
         def on_iteration(number: int, loss: float) -> None:
             seconds = time.perf_counter() - self.began
             self.iterations.append(Iteration(stage, epoch, batch, number, loss, seconds))
-            if self.on_iteration is not None:
-                self.on_iteration(self.iterations[-1])
+            self.on_iteration(self.iterations[-1])
 
         found = fit(on_iteration)
         outcome = f"{'converged' if found.converged else 'stopped'}: {found.message}"
         if len(self.iterations) > first:
             self.iterations[-1] = self.iterations[-1]._replace(outcome=outcome)
-        if self.on_fit_end is not None:
-            self.on_fit_end(outcome)
+        self.on_fit_end(outcome)
         return found.parameters

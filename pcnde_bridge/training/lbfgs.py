@@ -1,10 +1,8 @@
-"""L-BFGS with weight decay and early stopping, with which preset ``fast`` fits a network."""
+"""L-BFGS with weight decay, with which preset ``fast`` fits a network."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,10 +21,8 @@ def minimize(
     settings: FullBatch,
     iterations: int,
     unit: float,
-    validate: Callable[[Array], float] | None = None,
-    on_iteration: OnIteration | None = None,
-    *,
     lbfgs: LBFGS,
+    on_iteration: OnIteration | None = None,
 ) -> Fit:
     """Minimize objective(x)/unit + weight_decay·|x|².
 
@@ -37,23 +33,15 @@ def minimize(
     start : array of shape (n,)
         First iterate.
     settings : FullBatch
-        Memory, weight decay and patience.
+        Memory and weight decay.
     iterations : int
         Largest number of iterations.
     unit : float
         Size of the loss, relative to which the weight decay is measured.
-    validate : callable, optional
-        Error on cases that the objective does not contain, evaluated every few iterations;
-        the fit ends once it has not fallen for ``settings.patience`` iterations.
-    on_iteration : callable, optional
-        Called with the number and loss of each iteration; may raise to stop.
     lbfgs : callable
         Runs the iterations; see :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`.
-
-    Returns
-    -------
-    Fit
-        The iterate of the smallest validation error, or the last one.
+    on_iteration : callable, optional
+        Called with the number and loss of each iteration; may raise to stop.
 
     Raises
     ------
@@ -66,68 +54,25 @@ def minimize(
             f"The loss is not finite at the first parameters of the fit (loss {first}): the "
             "equation diverges there. Check the data's units, or start from another seed."
         )
-    run = _Run(objective, start, settings, iterations, unit, validate, on_iteration, first)
-    lbfgs(run.evaluate, start, settings.memory, iterations, run.accept)
-    return run.result()
+    decay, losses, last = settings.weight_decay, [first], start
+    ceiling = _DIVERGED * (first / unit + decay * float(start @ start))
 
-
-@dataclass
-class _Run:
-    """State of one minimization: the last iterate, and the best one by the validation error."""
-
-    objective: Objective
-    start: Array
-    settings: FullBatch
-    iterations: int
-    unit: float
-    validate: Callable[[Array], float] | None
-    on_iteration: OnIteration | None
-    first: float
-
-    def __post_init__(self) -> None:
-        decay = self.settings.weight_decay * float(self.start @ self.start)
-        self._ceiling = _DIVERGED * (self.first / self.unit + decay)
-        self._losses, self._last = [self.first], self.start
-        self._best, self._best_error, self._best_number = self.start, math.inf, 0
-        self._validated = 0  # number of the last validated iterate
-        self._message = ""
-
-    def evaluate(self, x: Array) -> tuple[float, Array]:
-        """Return the function to minimize, always finite, and its gradient."""
-        loss, gradient = self.objective(x)
+    def evaluate(x: Array) -> tuple[float, Array]:
+        loss, gradient = objective(x)
         if not (math.isfinite(loss) and np.isfinite(gradient).all()):
             # A wall that rises from the last iterate on.
-            way = x - self._last
-            return self._ceiling, way * (2 * self._ceiling / max(float(way @ way), _TINY))
-        decay = self.settings.weight_decay
-        return loss / self.unit + decay * float(x @ x), gradient / self.unit + 2 * decay * x
+            way = x - last
+            return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
+        return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
 
-    def accept(self, x: Array, value: float) -> None:
-        """Take an iterate; raise StopIteration once the validation error falls no more."""
-        number, self._last = len(self._losses), x
-        loss = (value - self.settings.weight_decay * float(x @ x)) * self.unit
-        self._losses.append(loss)
-        if self.on_iteration is not None:
-            self.on_iteration(number, loss)
-        if self.validate is None:
-            self._best = x
-        elif number % self.settings.check_every == 0 or number == self.iterations:
-            error, self._validated = self.validate(x), number
-            if error < self._best_error:
-                self._best, self._best_error, self._best_number = x, error, number
-            elif number - self._best_number >= self.settings.patience:
-                self._message = "validation error falls no more"
-                raise StopIteration
+    def accept(x: Array, value: float) -> None:
+        nonlocal last
+        last = x
+        losses.append((value - decay * float(x @ x)) * unit)
+        if on_iteration is not None:
+            on_iteration(len(losses) - 1, losses[-1])
 
-    def result(self) -> Fit:
-        """Return the best iterate, and why the minimization ended."""
-        number = len(self._losses) - 1
-        # L-BFGS may have converged between two validations.
-        validate = self.validate if self._validated < number else None
-        if validate is not None and validate(self._last) < self._best_error:
-            self._best = self._last
-        if not self._message and number >= self.iterations:
-            self._message = "all iterations done"
-        converged = not self._message
-        message = self._message or "loss falls no more"
-        return Fit(self._best, np.array(self._losses), converged, message)
+    lbfgs(evaluate, start, settings.memory, iterations, accept)
+    converged = len(losses) <= iterations
+    message = "loss falls no more" if converged else "all iterations done"
+    return Fit(last, np.array(losses), converged, message)

@@ -8,75 +8,50 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.shared_terms import (
     STEEPNESS,
     flow_at_stenosis,
     stenosis_drop,
     step_profile,
 )
-from pcnde_bridge.engines.types import Fit, OnIteration, SpatialPressureInputs
+from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration, SpatialPressureInputs
 from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.least_squares import solve_normal
 
 
-def fit_spatial_pressure(
-    start: Array,
-    inputs: SpatialPressureInputs,
-    target: Array,
-    engine: Engine,
-    grid: Grid,
-    config: PCNDEConfig,
-    on_iteration: OnIteration | None = None,
-) -> Fit:
-    """Fit a₁, a₂, b₁(t) and b₂(t).
+class SpatialPressureFit:
+    """Fit of a₁, a₂, b₁(t) and b₂(t) by least squares.
+
+    In p* = p̂* + a₁ − (Δp₀ + a₂·Δp₁ + b₁)·σ the step σ(t, z), shaped by b₂, is the same for all
+    cases, so that sums over these are enough.  With the residual w = p*_ref − p̂*, ``drop`` and
+    ``more`` stand for Δp₀ and Δp₁, per time point.
 
     Parameters
     ----------
-    start : array of shape (2 + 2·time,)
-        a₁, a₂, b₁, b₂ to start from.
     inputs : SpatialPressureInputs
         Inputs of the cases to fit.
     target : array of shape (case, time, z)
         Reference p/p_ref.
-    engine, grid, config
-        Engine that runs L-BFGS, points, and settings.
-    on_iteration : callable, optional
-        Called with the number and loss of each iteration.
-
-    Returns
-    -------
-    Fit
-        a₁, a₂, b₁, b₂ as one vector.
-    """
-    settings, n_times = config.full_batch, target.shape[1]
-    problem = _StepFit(inputs, target, grid, config)
-    limits = settings.pressure_iterations, float(np.mean(target**2))
-    run = settings.replace(weight_decay=0.0), *limits, None, on_iteration
-    found = minimize(problem.objective, start[2 + n_times :], *run, lbfgs=engine.lbfgs)
-    linear, _ = problem.linear(problem.step(found.parameters)[0])
-    return replace(found, parameters=np.concatenate([linear, found.parameters]))
-
-
-class _StepFit:
-    """Least squares for p* = p̂* + a₁ − (Δp₀ + a₂·Δp₁ + b₁)·σ, with a step σ(t, z) shaped by b₂.
-
-    Sums over the cases are enough, because the step is the same for all cases.  With the
-    residual w = p*_ref − p̂*, ``drop`` and ``more`` stand for Δp₀ and Δp₁, per time point.
+    z : array of shape (z,)
+        Points, cm.
+    config : PCNDEConfig
+        Settings.
     """
 
     def __init__(
-        self, inputs: SpatialPressureInputs, target: Array, grid: Grid, config: PCNDEConfig
+        self, inputs: SpatialPressureInputs, target: Array, z: Array, config: PCNDEConfig
     ) -> None:
-        physics = config.physics
-        coefficient = physics.turbulent_coefficient
-        at_stenosis = flow_at_stenosis(inputs.flow, grid.z, physics)
-        drop = stenosis_drop(at_stenosis, inputs.area_undeformed, coefficient, physics)
-        more = stenosis_drop(at_stenosis, inputs.area_undeformed, coefficient + 1, physics) - drop
-        drop, more = drop / physics.reference_pressure, more / physics.reference_pressure
+        physics, settings = config.physics, config.full_batch.replace(weight_decay=0.0)
+        self._limits = settings, settings.pressure_iterations, float(np.mean(target**2))
+        at_stenosis = flow_at_stenosis(inputs.flow, z, physics)
+        drop, with_more = (
+            stenosis_drop(at_stenosis, inputs.area_undeformed, coefficient, physics)
+            for coefficient in (physics.turbulent_coefficient, physics.turbulent_coefficient + 1)
+        )
+        more = (with_more - drop) / physics.reference_pressure
+        drop = drop / physics.reference_pressure
         wanted = target - inputs.temporal.mean(axis=2, keepdims=True)
-        self._height, distance = step_profile(grid.z, config)
+        self._height, distance = step_profile(z, config)
         self._inside = STEEPNESS * distance
         self._cases, self._size = float(len(target)), target.size
         self._wanted = wanted.sum(axis=0)
@@ -86,6 +61,13 @@ class _StepFit:
         self._more, self._drop = more.sum(axis=0), drop.sum(axis=0)
         self._more_more, self._more_drop = (more * more).sum(axis=0), (more * drop).sum(axis=0)
         self._drop_drop = (drop * drop).sum(axis=0)
+
+    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration | None = None) -> Fit:
+        """Fit the vector a₁, a₂, b₁, b₂, of shape (2 + 2·time,), from a given one."""
+        first = start[2 + len(self._drop) :]
+        found = minimize(self.objective, first, *self._limits, lbfgs, on_iteration)
+        linear, _ = self.linear(self.step(found.parameters)[0])
+        return replace(found, parameters=np.concatenate([linear, found.parameters]))
 
     def step(self, b2: Array) -> tuple[Array, Array]:
         """Return the step σ (time, z), and its derivative with respect to b₂."""

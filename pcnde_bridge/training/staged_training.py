@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,21 +13,42 @@ import numpy as np
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.engines.parameters import STAGES, Parameters, initial_parameters
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.engines.staged import initial_area, predict_by_stages, solve_area, undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.staged import predict_by_stages, solve_area, undeformed
+from pcnde_bridge.engines.types import FlowInputs, SpatialPressureInputs, TemporalPressureInputs
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.training.history import Recorder
-from pcnde_bridge.training.procedure import Algorithm, Procedure, StageFit, Step, TrainingState
+from pcnde_bridge.training.area_fit import FitStage, fit_area
+from pcnde_bridge.training.history import Recorder, RunFit
+from pcnde_bridge.training.procedure import Procedure, RunState, Step
 
-_FitStage = Callable[[str, Any, Array], Array]  # stage, inputs and target to parameters
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingState(RunState):
+    """State of a run that trains the paper's networks.
+
+    Attributes
+    ----------
+    batches : tuple of arrays of int
+        Positions of the training cases in every batch.
+    parameters : Parameters
+        Parameters after the finished steps.
+    area : array of shape (case, time, z)
+        S that the flow network sees after the couplings so far, cm².
+    couplings : tuple of Parameters
+        Parameters at each coupling so far, which give this area.
+    """
+
+    batches: tuple[Positions, ...]
+    parameters: Parameters
+    area: Array = field(repr=False)
+    couplings: tuple[Parameters, ...] = ()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Facts for the provenance of the model, with the positions of the cases in batches."""
+        return {**super().facts, "batches": [[int(i) for i in batch] for batch in self.batches]}
 
 
 def check(cases: Cases, config: PCNDEConfig) -> None:
@@ -43,8 +66,7 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
             f"flow.epochs={config.flow.epochs} is smaller than flow.couple_every="
             f"{config.flow.couple_every}: the area would never be fitted. Couple at least once."
         )
-    if config.fourier_area.terms > cases.n_times // 2:
-        terms = config.fourier_area.terms
+    if (terms := config.fourier_area.terms) > cases.n_times // 2:
         raise InputError(
             f"fourier_area.terms={terms} needs at least {2 * terms} time points per cycle, the "
             f"cases have {cases.n_times}."
@@ -60,10 +82,11 @@ def check(cases: Cases, config: PCNDEConfig) -> None:
 
 
 class StagedTraining(Procedure[TrainingState]):
-    """Training procedure of the paper's five stages.
+    """Training procedure of the paper's five stages; subclasses fit a single stage.
 
     Every fit starts the optimizer afresh, so that the parameters and the number of finished
-    steps are the whole state of a run.
+    steps are the whole state of a run.  The tasks of the steps are ``"flow"``, ``"coupling"``
+    (both area stages), ``"temporal_pressure"`` and ``"spatial_pressure"``.
 
     Parameters
     ----------
@@ -73,8 +96,6 @@ class StagedTraining(Procedure[TrainingState]):
         Settings.
     engine : Engine
         Compute engine.
-    algorithm : Algorithm
-        Batches, order of the steps, and fit of a stage.
 
     Raises
     ------
@@ -85,28 +106,26 @@ class StagedTraining(Procedure[TrainingState]):
     checkpoint_format = "pcnde-checkpoint", 1
     config: PCNDEConfig
 
-    def __init__(
-        self, cases: Cases, config: PCNDEConfig, engine: Engine, algorithm: Algorithm
-    ) -> None:
+    def __init__(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> None:
         check(cases, config)
         self.cases, self.config, self.engine = cases, config, engine
-        self._algorithm = algorithm
-        self._coupled: tuple[tuple[Parameters, ...], Array] | None = None
+
+    @abstractmethod
+    def divide(self, seed: int) -> tuple[Positions, ...]:
+        """Return the positions of the cases in every batch."""
+
+    @abstractmethod
+    def fit_stage(
+        self, stage: str, inputs: Any, target: Array, step: Step, state: TrainingState, run: RunFit
+    ) -> Array:
+        """Return the new parameters of a stage, fitted to a target (case, time, z)."""
 
     def start(self, seed: int) -> TrainingState:
         """Return the state with seeded parameters and batches."""
-        cases, config = self.cases, self.config
-        parameters = initial_parameters(config, cases.n_times, cases.n_points, seed)
-        batches = self._algorithm.divide(cases, config, seed)
-        return TrainingState(seed=seed, batches=batches, parameters=parameters)
-
-    def steps(self, state: TrainingState) -> list[Step]:
-        """Return all steps of the run: flow, coupling of the area, pressure stages."""
-        return self._algorithm.plan(self.config, len(state.batches))
-
-    def count_iterations(self, state: TrainingState) -> int:
-        """Count the iterations of all steps, if no fit ends early."""
-        return self._algorithm.count_iterations(self.config, len(state.batches))
+        cases = self.cases
+        parameters = initial_parameters(self.config, cases.n_times, cases.n_points, seed)
+        area = undeformed(cases.area_undeformed, cases.n_times)
+        return TrainingState(seed=seed, batches=self.divide(seed), parameters=parameters, area=area)
 
     def fit(self, step: Step, state: TrainingState, recorder: Recorder) -> TrainingState:
         """Return the state with the stages fitted that the step asks for.
@@ -116,35 +135,25 @@ class StagedTraining(Procedure[TrainingState]):
         SolveError
             If an equation diverges at the start of a fit.
         """
-
-        def fit(stage: str, inputs: Any, target: Array) -> Array:
-            run = self.cases, self.config, self.engine, recorder
-            return self._algorithm.fit(StageFit(stage, step, state, inputs, target, *run))
-
-        parameters, couplings = state.parameters, state.couplings
+        fit = partial(self.fit_stage, step=step, state=state, run=recorder.run)
+        parameters = state.parameters
         if step.task == "flow":
-            inputs = FlowInputs(self.cases.inflow, self.coupled_area(state))
-            parameters = parameters.replace(flow=fit("flow", inputs, self.cases.flow))
-        elif step.task == "coupling":
-            parameters = self._fit_area(state, fit)
-            couplings = (*couplings, parameters)
-        else:
-            parameters = self._fit_pressure(step.task, parameters, fit)
-        return replace(state, parameters=parameters, couplings=couplings)
+            inputs = FlowInputs(self.cases.inflow, state.area)
+            fitted = parameters.replace(flow=fit("flow", inputs, self.cases.flow))
+            return replace(state, parameters=fitted)
+        if step.task == "coupling":
+            return self._couple(state, fit)
+        return replace(state, parameters=self._fit_pressure(step.task, parameters, fit))
 
-    def _fit_area(self, state: TrainingState, fit: _FitStage) -> Parameters:
-        """Fit both area stages on the flow that the network predicts with the coupled area."""
-        parameters, cases, grid = state.parameters, self.cases, self.cases.grid
-        flow_inputs = FlowInputs(cases.inflow, self.coupled_area(state))
-        flow = self.engine.flow.solve(parameters.flow, flow_inputs, grid, self.config)
-        inputs = IntermediateAreaInputs(flow, cases.area_undeformed)
-        intermediate = fit("intermediate_area", inputs, cases.area)
-        cycles = self.engine.intermediate_area.solve(intermediate, inputs, grid, self.config)
-        start = initial_area(cycles, cases.n_times, self.config)
-        fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
-        return parameters.replace(intermediate_area=intermediate, fourier_area=fourier)
+    def _couple(self, state: TrainingState, fit: FitStage) -> TrainingState:
+        """Fit both area stages on the predicted flow, and predict the area for the network."""
+        flow = self._flow(state.parameters, state.area)
+        fitted = fit_area(flow, self.cases, self.engine, self.config, fit)
+        parameters = state.parameters.replace(**fitted)
+        couplings, area = (*state.couplings, parameters), self._area(parameters, flow)
+        return replace(state, parameters=parameters, couplings=couplings, area=area)
 
-    def _fit_pressure(self, stage: str, parameters: Parameters, fit: _FitStage) -> Parameters:
+    def _fit_pressure(self, stage: str, parameters: Parameters, fit: FitStage) -> Parameters:
         """Fit one of the pressure stages on the predicted flow and area."""
         cases, grid, config = self.cases, self.cases.grid, self.config
         target = cases.pressure / config.physics.reference_pressure
@@ -159,23 +168,13 @@ class StagedTraining(Procedure[TrainingState]):
         spatial_inputs = SpatialPressureInputs(temporal, solved.flow, s_u)
         return parameters.replace(spatial_pressure=fit(stage, spatial_inputs, target))
 
-    def coupled_area(self, state: TrainingState) -> Array:
-        """Return the area (case, time, z), cm², that the flow network sees after the couplings."""
-        known, area = self._coupled or ((), None)
-        if area is None or known != state.couplings[: len(known)]:
-            known, area = (), undeformed(self.cases.area_undeformed, self.cases.n_times)
-        for parameters in state.couplings[len(known) :]:
-            inputs = FlowInputs(self.cases.inflow, area)
-            grid, s_u = self.cases.grid, self.cases.area_undeformed
-            flow = self.engine.flow.solve(parameters.flow, inputs, grid, self.config)
-            area = solve_area(self.engine, parameters, flow, s_u, grid, self.config)
-        self._coupled = state.couplings, area
-        return area
+    def _flow(self, parameters: Parameters, area: Array) -> Array:
+        inputs = FlowInputs(self.cases.inflow, area)
+        return self.engine.flow.solve(parameters.flow, inputs, self.cases.grid, self.config)
 
-    def count_numbers(self, state: TrainingState) -> int:
-        """Count the parameters in the last checkpoint: current ones and those of each coupling."""
-        couplings = sum(step.task == "coupling" for step in self.steps(state))
-        return (1 + couplings) * sum(vector.size for _, vector in state.parameters)
+    def _area(self, parameters: Parameters, flow: Array) -> Array:
+        s_u, grid = self.cases.area_undeformed, self.cases.grid
+        return solve_area(self.engine, parameters, flow, s_u, grid, self.config)
 
     def to_archive(self, state: TrainingState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         """Return facts and arrays of a checkpoint."""
@@ -193,10 +192,15 @@ class StagedTraining(Procedure[TrainingState]):
         def parameters(prefix: str) -> Parameters:
             return Parameters(**{stage: arrays[prefix + stage] for stage in STAGES})
 
+        couplings = tuple(parameters(f"coupling_{n}_") for n in range(facts["couplings"]))
+        area = undeformed(self.cases.area_undeformed, self.cases.n_times)
+        for coupling in couplings:
+            area = self._area(coupling, self._flow(coupling, area))
         return TrainingState(
             seed=facts["seed"],
             batches=tuple(np.split(arrays["batches"], np.cumsum(facts["batch_sizes"])[:-1])),
             parameters=parameters(""),
-            couplings=tuple(parameters(f"coupling_{n}_") for n in range(facts["couplings"])),
+            area=area,
+            couplings=couplings,
             finished=facts["finished"],
         )

@@ -7,32 +7,31 @@ one needs, so that a run continued from a checkpoint repeats the interrupted one
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any, Generic, NamedTuple
+from typing import Generic, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from pcnde_bridge._typing import AnyArray, StrPath
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.training import full_batch, minibatch
-from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.checkpoint import Checkpoint
-from pcnde_bridge.training.history import Iteration, OnIteration, Recorder
-from pcnde_bridge.training.procedure import Algorithm, Procedure, State
+from pcnde_bridge.training.full_batch import FullBatchTraining
+from pcnde_bridge.training.history import Iteration, OnIteration, Recorder, ignore
+from pcnde_bridge.training.minibatch import MinibatchTraining
+from pcnde_bridge.training.procedure import Procedure, State
 from pcnde_bridge.training.progress import TrainingProgress
 from pcnde_bridge.training.staged_training import StagedTraining
-
-_ALGORITHMS: dict[str, Algorithm] = {"minibatch": minibatch, "full_batch": full_batch}
 
 
 def staged_training(cases: Cases, config: PCNDEConfig, engine: Engine) -> StagedTraining:
     """Return the procedure with the algorithm that ``config.training`` names."""
-    return StagedTraining(cases, config, engine, _ALGORITHMS[config.training])
+    algorithm = {"minibatch": MinibatchTraining, "full_batch": FullBatchTraining}[config.training]
+    return algorithm(cases, config, engine)
 
 
 class Session(NamedTuple):
@@ -67,7 +66,7 @@ def training_session(progress: bool | OnIteration, total: int, done: int = 0) ->
             if callable(report):
                 report(iteration)
 
-        yield Session(on_iteration, bar.on_fit_end if bar else lambda _: None)
+        yield Session(on_iteration, bar.on_fit_end if bar else ignore)
 
 
 class Trainer(Generic[State]):
@@ -81,7 +80,7 @@ class Trainer(Generic[State]):
         File that stores the state: read if it exists, written after each epoch of a task,
         and when training is interrupted
         (:class:`~pcnde_bridge.training.checkpoint.Checkpoint`).
-    on_iteration, on_fit_end : callable, optional
+    on_iteration, on_fit_end : callable
         Called with every :class:`~pcnde_bridge.training.history.Iteration`, and with the
         outcome of every fit.
     """
@@ -90,16 +89,13 @@ class Trainer(Generic[State]):
         self,
         procedure: Procedure[State],
         checkpoint: StrPath | None = None,
-        on_iteration: OnIteration | None = None,
-        on_fit_end: Callable[[str], None] | None = None,
+        on_iteration: OnIteration = ignore,
+        on_fit_end: Callable[[str], None] = ignore,
     ) -> None:
         self._procedure = procedure
-        self._checkpoint = None
-        if checkpoint is not None:
-            kind, version = procedure.checkpoint_format
-            run = procedure.cases, procedure.config, procedure.engine
-            self._checkpoint = Checkpoint(checkpoint, kind, version, *run)
-        self._on_iteration, self._on_fit_end = on_iteration, on_fit_end
+        self._checkpoint = None if checkpoint is None else Checkpoint(checkpoint, procedure)
+        self._save = ignore if self._checkpoint is None else self._checkpoint.write
+        self._callbacks = Session(on_iteration, on_fit_end)
 
     def fit(self, seed: int, progress: bool | OnIteration = True) -> State:
         """Run all steps, from the start or from the checkpoint; see :meth:`complete`."""
@@ -116,8 +112,7 @@ class Trainer(Generic[State]):
             Whether to show progress, or a function called with every iteration.
         """
         total = self._procedure.count_iterations(state)
-        with training_session(progress, total, len(state.history)) as session:
-            self._on_iteration, self._on_fit_end = session
+        with training_session(progress, total, len(state.history)) as self._callbacks:
             return self.run(state)
 
     def start(self, seed: int) -> State:
@@ -134,13 +129,11 @@ class Trainer(Generic[State]):
         if self._checkpoint is None:
             return first
         # A full or read-only disk is reported now, not after the first epoch.
-        history = 10 * self._procedure.count_iterations(first)  # six numbers and a text each
-        self._checkpoint.check(self._procedure.count_numbers(first) + history)
-        state = self._checkpoint.read(seed, self._restore)
+        self._checkpoint.check(first)
+        state = self._checkpoint.read(seed)
         if state is None:
             self._save(first)
-            return first
-        return state
+        return state or first
 
     def run(self, state: State, until: int | None = None) -> State:
         """Run the steps that are not finished: all, or until ``until`` steps are finished.
@@ -156,7 +149,7 @@ class Trainer(Generic[State]):
         began = time.perf_counter() - state.seconds
         try:
             for step in steps[state.finished : until]:
-                recorder = Recorder(began, self._on_iteration, self._on_fit_end)
+                recorder = Recorder(began, *self._callbacks)
                 state = self._procedure.fit(step, state, recorder)
                 history = (*state.history, *recorder.iterations)
                 state = replace(state, finished=state.finished + 1, history=history)
@@ -167,14 +160,3 @@ class Trainer(Generic[State]):
             self._save(state)
             raise
         return self._procedure.finish(state) if state.finished == len(steps) else state
-
-    def _save(self, state: State) -> None:
-        if self._checkpoint is None:
-            return
-        facts, arrays = self._procedure.to_archive(state)
-        facts["units"] = len(self._procedure.steps(state))
-        self._checkpoint.write(state.seed, facts, {**arrays, **histories.to_arrays(state.history)})
-
-    def _restore(self, facts: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> State:
-        state = self._procedure.from_archive(facts, arrays)
-        return replace(state, history=histories.from_arrays(arrays))

@@ -9,9 +9,10 @@ cases and points, and so must not depend on the number of threads.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +22,6 @@ from pcnde_bridge.engines.parameters import unpack_network
 from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration
 from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.whitening import Whitening
-
-__all__ = ["HiddenLayers", "Projection", "Subset", "VariableProjection"]
 
 
 class Projection(NamedTuple):
@@ -34,141 +33,84 @@ class Projection(NamedTuple):
         Weights and bias of the last layer.
     loss : float
         Smallest loss.
-    gradient : callable
-        Returns the gradient with respect to the last hidden layer's output, (sample, hidden).
+    gradient : array of shape (sample, hidden)
+        Gradient with respect to the last hidden layer's output.
     """
 
     layer: Array
     loss: float
-    gradient: Callable[[], Array]
+    gradient: Array
 
 
-class Subset(Protocol):
-    """Inputs and reference data of some cases.
+class VariableProjection(ABC):
+    """Fit of a network's hidden layers, in whitened coordinates of the first.
 
-    Attributes
+    Parameters
     ----------
     inputs : array of shape (sample, in)
         Inputs of the network.
-    """
-
-    inputs: Array
-
-    def project(self, hidden: Array) -> Projection:
-        """Find the last layer for the output of the hidden layers, (sample, hidden)."""
-
-    def error(self, hidden: Array, layer: Array) -> float:
-        """Return the mean square error with a given last layer."""
-
-
-@dataclass
-class VariableProjection:
-    """Fit of a network's hidden layers, in whitened coordinates of the first.
-
-    Attributes
-    ----------
-    subsets : sequence of Subset
-        Cases to fit and, if given, validation cases, whose error ends the fit.
     whitening : Whitening
         Coordinates of the first layer.
     widths : sequence of int
         Widths of the network from input to output.
     activation : str
-        Activation function of the hidden layers.
+        Activation function of the hidden layers: ``tanh``, ``gelu``, ``relu``, ``sigmoid`` or
+        ``swish``.
     settings, iterations, unit
         Arguments of :func:`pcnde_bridge.training.lbfgs.minimize`.
     """
 
-    subsets: Sequence[Subset]
-    whitening: Whitening
-    widths: Sequence[int]
-    activation: str
-    settings: FullBatch
-    iterations: int
-    unit: float
+    def __init__(
+        self,
+        inputs: Array,
+        whitening: Whitening,
+        widths: Sequence[int],
+        activation: str,
+        settings: FullBatch,
+        iterations: int,
+        unit: float,
+    ) -> None:
+        self._whitening, self._inputs = whitening, whitening.inputs(inputs)
+        self._limits = settings, iterations, unit
+        self._hidden_widths = self._inputs.shape[1], *widths[1:-1]
+        self._last = (widths[-2] + 1) * widths[-1]  # parameters of the last layer
+        self._activation = _ACTIVATIONS[activation]
 
-    def __post_init__(self) -> None:
-        self._inputs = [self.whitening.inputs(subset.inputs) for subset in self.subsets]
-        widths = self._inputs[0].shape[1], *self.widths[1:-1]
-        self._hidden = HiddenLayers(widths, self.activation)
+    @abstractmethod
+    def project(self, hidden: Array) -> Projection:
+        """Find the last layer for the output of the hidden layers, (sample, hidden)."""
 
-    def fit(self, start: Array, on_iteration: OnIteration | None, lbfgs: LBFGS) -> Fit:
+    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration | None = None) -> Fit:
         """Fit the network from given parameters."""
-        validate = self._validation_error if len(self.subsets) > 1 else None
-        run = self.settings, self.iterations, self.unit, validate, on_iteration
-        found = minimize(self.objective, self.coordinates(start), *run, lbfgs=lbfgs)
-        layer = self._project(found.parameters)[1].layer
+        run = *self._limits, lbfgs, on_iteration
+        found = minimize(self.objective, self.coordinates(start), *run)
+        layer = self.project(self._forward(found.parameters)[0]).layer
         coordinates = np.concatenate([found.parameters, layer.ravel()])
-        return replace(found, parameters=self.whitening.parameters(coordinates))
+        return replace(found, parameters=self._whitening.parameters(coordinates))
 
     def coordinates(self, parameters: Array) -> Array:
         """Return the hidden layers' coordinates of a network's parameters."""
-        last = (self.widths[-2] + 1) * self.widths[-1]  # parameters of the last layer
-        return self.whitening.coordinates(parameters)[:-last]
+        return self._whitening.coordinates(parameters)[: -self._last]
 
     def objective(self, coordinates: Array) -> tuple[float, Array]:
         """Return the smallest loss for the hidden layers, and its gradient."""
-        passed, projection = self._project(coordinates)
-        return projection.loss, self._hidden.gradient(passed, projection.gradient())
-
-    def _project(self, coordinates: Array) -> tuple[_ForwardPass, Projection]:
-        passed = self._hidden(coordinates, self._inputs[0])
-        return passed, self.subsets[0].project(passed.last)
-
-    def _validation_error(self, coordinates: Array) -> float:
-        hidden = self._hidden(coordinates, self._inputs[1]).last
-        return self.subsets[1].error(hidden, self._project(coordinates)[1].layer)
-
-
-class _ForwardPass(NamedTuple):
-    """Results of a pass through the layers: outputs, activations' slopes, and weights."""
-
-    values: list[Array]
-    slopes: list[Array]
-    matrices: list[Array]
-
-    @property
-    def last(self) -> Array:
-        """Output of the last hidden layer, shape (sample, width)."""
-        return self.values[-1]
-
-
-class HiddenLayers:
-    """Dense layers with one activation function.
-
-    Their coordinates are one vector: for each layer the weights (in, out), then the biases.
-
-    Parameters
-    ----------
-    widths : sequence of int
-        Widths of the inputs and of each layer.
-    activation : str
-        ``tanh``, ``gelu``, ``relu``, ``sigmoid`` or ``swish``.
-    """
-
-    def __init__(self, widths: Sequence[int], activation: str) -> None:
-        self._widths = widths
-        self._activation = _ACTIVATIONS[activation]
-
-    def __call__(self, coordinates: Array, inputs: Array) -> _ForwardPass:
-        """Pass inputs of shape (sample, in) through the layers."""
-        passed = _ForwardPass([inputs], [], [])
-        for matrix, bias in unpack_network(coordinates, self._widths):
-            value, slope = self._activation(passed.last @ matrix + bias)
-            passed.values.append(value)
-            passed.slopes.append(slope)
-            passed.matrices.append(matrix)
-        return passed
-
-    @staticmethod
-    def gradient(passed: _ForwardPass, gradient: Array) -> Array:
-        """Return the gradient with respect to the coordinates, given that to the output."""
+        hidden, layers = self._forward(coordinates)
+        _, loss, gradient = self.project(hidden)
         parts: list[Array] = []
-        for value, slope, matrix in reversed(list(zip(*passed, strict=False))):
+        for value, slope, matrix in reversed(layers):
             gradient = gradient * slope
             parts = [(value.T @ gradient).ravel(), gradient.sum(axis=0), *parts]
             gradient = gradient @ matrix.T
-        return np.concatenate(parts)
+        return loss, np.concatenate(parts)
+
+    def _forward(self, coordinates: Array) -> tuple[Array, list[tuple[Array, Array, Array]]]:
+        """Return the last hidden layer's output, and each layer's input, slope and weights."""
+        value, layers = self._inputs, []
+        for matrix, bias in unpack_network(coordinates, self._hidden_widths):
+            result, slope = self._activation(value @ matrix + bias)
+            layers.append((value, slope, matrix))
+            value = result
+        return value, layers
 
 
 # Value and derivative of the activation functions.

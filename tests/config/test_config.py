@@ -50,7 +50,6 @@ MAY_BE_ZERO = {
     "stenosis_position",
     "turbulent_coefficient",
     "gradient_tolerance",
-    "validation",
     "amplitude_exponent",
     "weight_decay",
     "pressure_weight_decay",
@@ -346,3 +345,9 @@ def test_settings_are_read_by_their_older_names():
     )
     assert "full_batch" not in old
     assert config_from(old) == PCNDEConfig.from_dict(old) == FAST
+
+
+def test_former_settings_of_older_files_are_left_out():
+    old = FAST.to_dict()
+    old["full_batch"] |= {"starts": 3, "validation": 0.3, "patience": 30, "check_every": 10}
+    assert config_from(old) == FAST

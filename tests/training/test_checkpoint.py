@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections import namedtuple
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,19 +27,35 @@ from pcnde_bridge.training.checkpoint import (
     previous,
     remove,
 )
+from pcnde_bridge.training.procedure import RunState, Step
 from pcnde_bridge.training.trainer import Trainer, staged_training
 
 
-def number(facts, arrays):
-    return facts["number"], arrays["a"].tolist()
+@dataclass(frozen=True, kw_only=True)
+class NumberState(RunState):
+    number: int
+
+
+class NumberProcedure(SimpleNamespace):
+    """Procedure whose state is a number; it has cases, config and engine."""
+
+    checkpoint_format = "test", 1
+    count_iterations = staticmethod(lambda _: 1)
+    steps = staticmethod(lambda _: [Step("count")])
+    to_archive = staticmethod(lambda s: ({"number": s.number}, {"a": np.full(100, s.number)}))
+
+    @staticmethod
+    def from_archive(facts, arrays):
+        assert arrays["a"].tolist() == [facts["number"]] * 100
+        return NumberState(seed=facts["seed"], number=facts["number"])
 
 
 def read(checkpoint):
-    return checkpoint.read(5, number)
+    return checkpoint.read(5).number
 
 
 def write(checkpoint, n):
-    checkpoint.write(5, {"number": n}, {"a": np.full(100, n)})
+    checkpoint.write(NumberState(seed=5, number=n))
 
 
 @pytest.fixture
@@ -46,7 +63,7 @@ def new(small_cases, toy_config, toy_engine):
     """Make a checkpoint of a run on the small cases, or of another."""
 
     def new(path, cases=small_cases, config=toy_config, engine=toy_engine):
-        return Checkpoint(path, "test", 1, cases, config, engine)
+        return Checkpoint(path, NumberProcedure(cases=cases, config=config, engine=engine))
 
     return new
 
@@ -61,7 +78,7 @@ def checkpoint(new, tmp_path):
 
 def test_the_newest_two_are_kept(checkpoint, tmp_path):
     assert {p.name for p in tmp_path.iterdir()} == {"run", "run.previous"}
-    assert read(checkpoint) == (3, [3] * 100)
+    assert read(checkpoint) == 3
     kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
     assert kept[0]["number"] == 2
 
@@ -73,13 +90,13 @@ def test_a_damaged_newest_falls_back_and_says_so(checkpoint, tmp_path, caplog, d
     content = {"half": whole[: len(whole) // 2], "empty": b"", "bit": whole, "foreign": b"hello"}
     checkpoint.path.write_bytes(bytes(content[damage]))
     with caplog.at_level(logging.WARNING, "pcnde_bridge"):
-        assert read(checkpoint) == (2, [2] * 100)
+        assert read(checkpoint) == 2
     (message,) = caplog.messages
     assert str(checkpoint.path) in message
     assert f"Continuing from the checkpoint before it, {previous(checkpoint.path)}" in message
     # The good one is not overwritten with the damaged one.
     write(checkpoint, 4)
-    assert read(checkpoint) == (4, [4] * 100)
+    assert read(checkpoint) == 4
     kept = read_archive(previous(checkpoint.path), "test", 1, "checkpoint")
     assert kept[0]["number"] == 2
 
@@ -93,7 +110,7 @@ def test_both_damaged_is_an_error_about_the_newest(checkpoint):
 
 def test_a_run_thrown_away_does_not_come_back(checkpoint, tmp_path):
     checkpoint.path.unlink()
-    assert read(checkpoint) is None
+    assert checkpoint.read(5) is None
     write(checkpoint, 9)
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
     remove(checkpoint.path)
@@ -105,7 +122,7 @@ def test_what_a_killed_process_left_is_removed(checkpoint, tmp_path):
     (tmp_path / ".run.0123abcd").write_text("half")
     (tmp_path / ".run.previous.0123abcd.previous").write_text("half")
     (tmp_path / ".run.0123abcx").write_text("someone else's")
-    checkpoint.check(10)
+    checkpoint.check(NumberState(seed=5, number=1))
     left = {p.name for p in tmp_path.iterdir()}
     assert left == {"run", "run.previous", ".run.0123abcx"}
 
@@ -125,10 +142,10 @@ def test_the_run_is_told_and_another_is_refused(checkpoint, new, small_cases, to
     ):
         expected = f"{path} belongs to a run {message}, or another checkpoint file."
         with pytest.raises(InputError, match=re.escape(expected)):
-            other.read(seed, number)
+            other.read(seed)
     assert path.read_bytes() == whole
     assert caplog.text == ""
-    assert new(path, engine=SimpleNamespace(name="other")).read(5, number) == (3, [3] * 100)
+    assert read(new(path, engine=SimpleNamespace(name="other"))) == 3
     assert "was written with the toy engine and continues with other" in caplog.text
 
 
@@ -205,7 +222,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, new, small_disk):
+def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, small_disk):
     path = small_disk / "run"
     with pytest.raises(KeyboardInterrupt):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=stop_after(25))
@@ -216,10 +233,12 @@ def test_a_disk_that_is_full(small_cases, toy_config, toy_engine, new, small_dis
     with pytest.raises(FileError, match="MB are needed"):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=refuse)
     # Full in the middle of a run: what was written stays whole.
-    checkpoint = new(path)
+    procedure = staged_training(small_cases, toy_config, toy_engine)
+    checkpoint, state = Checkpoint(path, procedure), procedure.start(0)
+    state = replace(state, parameters=state.parameters.replace(flow=np.zeros(1 << 17)))
     before = path.read_bytes()
     with pytest.raises(FileError, match="the disk is full"):
-        checkpoint.write(0, {}, {"a": np.zeros(1 << 17)})
+        checkpoint.write(state)
     assert path.read_bytes() == before
     full.unlink()
     model = PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)

@@ -13,19 +13,18 @@ from pcnde_bridge.engines.staged import undeformed
 from pcnde_bridge.engines.types import (
     FlowInputs,
 )
-from pcnde_bridge.training.collocation import collocation
+from pcnde_bridge.training.collocation import Collocation
 from pcnde_bridge.training.flow_fit import amplitude_weight
 from pcnde_bridge.training.whitening import Whitening
 
 
-def known_flow(cases, config, chosen):
+def known_flow(cases, config):
     area = undeformed(cases.area_undeformed, cases.n_times)
     seen = np.moveaxis(np.concatenate([cases.flow, area], axis=1), 1, 2)
     inputs = seen.reshape(-1, 2 * cases.n_times)
     whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
-    weight = amplitude_weight(cases.inflow, chosen[0], config.full_batch.amplitude_exponent)
-    known = collocation(cases.flow, area, weight, cases.z, chosen, whitening, config)
-    return known, whitening, area
+    weight = amplitude_weight(cases.inflow, config.full_batch.amplitude_exponent)
+    return Collocation(cases.flow, area, weight, cases.z, whitening, config), area
 
 
 def test_twice_the_weight_is_the_case_twice(small_cases):
@@ -39,11 +38,11 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
     vector = initial_parameters(config, 20, 21, 0).flow
     found = []
     for cases, weights in ((np.arange(n), weight), (twice, np.ones(n + 1))):
-        chosen, arrays = (np.arange(len(cases)),), (small_cases.flow[cases], area[cases])
+        arrays = small_cases.flow[cases], area[cases]
         # The decay is in units of the flow's squares.
         decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
         settings = config.replace(full_batch={"weight_decay": decay})
-        known = collocation(*arrays, weights, small_cases.z, chosen, whitening, settings)
+        known = Collocation(*arrays, weights, small_cases.z, whitening, settings)
         found.append(known.objective(known.coordinates(vector)))
     (loss, gradient), (expected, its_gradient) = found
     assert loss == pytest.approx(expected, rel=1e-8)
@@ -52,12 +51,12 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
 
 @pytest.mark.parametrize("loss", ["mean", "sum"])
 @pytest.mark.parametrize("activation", ["tanh", "gelu"])
-def test_the_gradient_along_the_known_flow(small_cases, everything, activation, loss):
+def test_the_gradient_along_the_known_flow(small_cases, activation, loss):
     config = LITTLE.replace(
         flow={"hidden": (4, 3), "activation": activation, "loss": loss},
         full_batch={"weight_decay": 1e-4},
     )
-    known, _, _ = known_flow(small_cases, config, everything)
+    known, _ = known_flow(small_cases, config)
     start = known.coordinates(initial_parameters(config, 20, 21, 0).flow)
     found, gradient = known.objective(start)
     rng = np.random.default_rng(0)
@@ -70,12 +69,11 @@ def test_the_gradient_along_the_known_flow(small_cases, everything, activation, 
 
 
 def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, small_cases, grid):
-    everything = (np.arange(len(small_cases)),)
     settings = {"collocation_iterations": 60, "weight_decay": 0.0, "amplitude_exponent": 0.0}
     config = LITTLE.replace(full_batch=settings)
-    known, _, area = known_flow(small_cases, config, everything)
+    known, area = known_flow(small_cases, config)
     start, losses = initial_parameters(config, 20, 21, 0).flow, []
-    found = known.fit(start, lambda _, loss: losses.append(loss), engine.lbfgs)
+    found = known.fit(start, engine.lbfgs, lambda _, loss: losses.append(loss))
     fitted = found.parameters
     assert all(later <= earlier for earlier, later in pairwise(losses))
     inputs = FlowInputs(small_cases.inflow, area)

@@ -1,4 +1,4 @@
-"""L-BFGS with weight decay and early stopping."""
+"""L-BFGS with weight decay."""
 
 from __future__ import annotations
 
@@ -34,14 +34,17 @@ def test_the_minimizer_finds_the_minimum_and_tells_the_loss(lbfgs):
         FullBatch(weight_decay=0.0),
         50,
         1.0,
-        on_iteration=lambda i, loss: seen.append((i, loss)),
-        lbfgs=lbfgs,
+        lbfgs,
+        lambda i, loss: seen.append((i, loss)),
     )
     assert np.allclose(found.parameters, 1, atol=1e-7)
     assert (found.converged, found.message) == (True, "loss falls no more")
     assert [i for i, _ in seen] == list(range(1, len(seen) + 1))
     assert seen[-1][1] < 1e-12
-    decayed = minimize(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs=lbfgs)
+    stopped = minimize(bowl, np.zeros(3), FullBatch(weight_decay=0.0), 2, 1.0, lbfgs)
+    assert (stopped.converged, stopped.message) == (False, "all iterations done")
+    assert len(stopped.losses) == 3
+    decayed = minimize(bowl, np.zeros(3), FullBatch(weight_decay=0.5), 50, 2.0, lbfgs)
     assert np.allclose(decayed.parameters, [1 / 2, 10 / 11, 100 / 101], atol=1e-6)
 
 
@@ -53,39 +56,8 @@ def test_a_diverging_trial_step_is_shortened(lbfgs):
         return (np.inf, np.full(3, np.nan)) if trials[-1] else bowl(x)
 
     settings = FullBatch(weight_decay=0.0)
-    found = minimize(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs=lbfgs)
+    found = minimize(cliff, np.full(3, -40.0), settings, 100, 1e-3, lbfgs)
     assert any(trials)
     assert np.allclose(found.parameters, 1, atol=1e-5)
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        minimize(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs=lbfgs)
-
-
-def test_early_stopping_keeps_the_best(lbfgs):
-    seen, looks = [], []
-
-    def validate(x):
-        looks.append(x.copy())
-        return abs(len(looks) - 2.0)
-
-    settings = FullBatch(weight_decay=0.0, check_every=1, patience=2)
-    found = minimize(
-        bowl,
-        np.zeros(3),
-        settings,
-        50,
-        1.0,
-        validate,
-        lambda *record: seen.append(record),
-        lbfgs=lbfgs,
-    )
-    assert len(seen) == len(looks) == 4
-    assert np.array_equal(found.parameters, looks[1])
-    assert (found.converged, found.message) == (False, "validation error falls no more")
-
-
-def test_what_converged_before_the_first_look_is_kept(lbfgs):
-    settings = FullBatch(weight_decay=0.0, check_every=1000)
-    found = minimize(
-        bowl, np.zeros(3), settings, 2000, 1.0, lambda x: float(np.sum((x - 1) ** 2)), lbfgs=lbfgs
-    )
-    assert np.allclose(found.parameters, 1, atol=1e-7)
+        minimize(cliff, np.full(3, 2.0), FullBatch(), 10, 1.0, lbfgs)

@@ -10,7 +10,7 @@ from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import (
     SpatialPressureInputs,
 )
-from pcnde_bridge.training.spatial_pressure_fit import fit_spatial_pressure
+from pcnde_bridge.training.spatial_pressure_fit import SpatialPressureFit
 
 
 @pytest.mark.parametrize("form", ["continuous", "printed"])
@@ -22,9 +22,8 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     inputs = SpatialPressureInputs(target, small_cases.flow, small_cases.area_undeformed)
     start = initial_parameters(config, 20, 21, 0).spatial_pressure
     losses = []
-    vector = fit_spatial_pressure(
-        start, inputs, target, engine, grid, config, lambda _, loss: losses.append(loss)
-    ).parameters
+    fit = SpatialPressureFit(inputs, target, grid.z, config).fit
+    vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
     stage = engine.spatial_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
     first, before = stage.loss_and_gradient(start, inputs, target, grid, config)

@@ -12,13 +12,11 @@ from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import (
     TemporalPressureInputs,
 )
-from pcnde_bridge.training.temporal_pressure_fit import fit_temporal_pressure
+from pcnde_bridge.training.temporal_pressure_fit import TemporalPressureFit
 
 
 @pytest.mark.parametrize("activation", ["tanh", "gelu", "sigmoid", "swish"])  # relu starts dead
-def test_the_pressure_networks_last_layer_is_at_its_minimum(
-    engine, small_cases, grid, everything, activation
-):
+def test_the_pressure_networks_last_layer_is_at_its_minimum(engine, small_cases, grid, activation):
     config = LITTLE.replace(
         temporal_pressure={"activation": activation, "hidden": (3, 2)},
         full_batch={"pressure_weight_decay": 0.0},
@@ -27,9 +25,8 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(
     target = small_cases.pressure / config.physics.reference_pressure
     start = initial_parameters(config, 20, 21, 0).temporal_pressure
     losses = []
-    vector = fit_temporal_pressure(
-        start, inputs, target, everything, engine, config, lambda _, loss: losses.append(loss)
-    ).parameters
+    fit = TemporalPressureFit(inputs, target, config).fit
+    vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
     stage = engine.temporal_pressure
     loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
     first, before = stage.loss_and_gradient(start, inputs, target, grid, config)

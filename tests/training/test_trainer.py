@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,7 +28,6 @@ from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.training.checkpoint import previous
 from pcnde_bridge.training.history import Iteration, from_arrays, to_arrays, to_frame
-from pcnde_bridge.training.minibatch import count_iterations, plan
 from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.staged_training import check
 from pcnde_bridge.training.trainer import Trainer, staged_training
@@ -71,12 +71,23 @@ def interrupt_at(number, records=None):
     return on_iteration
 
 
-# ---- plan ------------------------------------------------------------------
+# ---- steps ------------------------------------------------------------------
 
 
-def test_plan_in_order():
-    config = PAPER.replace(flow={"epochs": 5, "couple_every": 2})
-    assert plan(config, 2) == [
+@pytest.fixture
+def planned(small_cases, toy_engine):
+    """Return the procedure of a configuration, and a first state with some batches."""
+
+    def planned(config, n_batches):
+        procedure = staged_training(small_cases, config, toy_engine)
+        return procedure, replace(procedure.start(0), batches=(np.arange(2),) * n_batches)
+
+    return planned
+
+
+def test_steps_in_order(planned):
+    procedure, state = planned(PAPER.replace(flow={"epochs": 5, "couple_every": 2}), 2)
+    assert procedure.steps(state) == [
         Step("flow", 1, 1),
         Step("flow", 1, 2),
         Step("flow", 2, 1),
@@ -94,8 +105,9 @@ def test_plan_in_order():
     ]
 
 
-def test_the_papers_plan():
-    units = plan(PAPER, 7)
+def test_the_papers_steps(planned):
+    procedure, state = planned(PAPER, 7)
+    units = procedure.steps(state)
     assert [u.epoch for u in units if u.task == "coupling"] == [25, 50, 75, 100]
     assert sum(u.task == "flow" for u in units) == 700
     assert units[-3:] == [
@@ -103,13 +115,14 @@ def test_the_papers_plan():
         Step("temporal_pressure", 1, 1),
         Step("spatial_pressure", 1, 1),
     ]
-    assert count_iterations(PAPER, 7) == 700 * 5 + 4 * 7 * (5 + 5) + 250 + 75
+    assert procedure.count_iterations(state) == 700 * 5 + 4 * 7 * (5 + 5) + 250 + 75
 
 
-def test_iterations_are_counted_as_they_come(reference, toy_config):
-    assert len(reference.history) == count_iterations(toy_config, 3)
+def test_iterations_are_counted_as_they_come(reference, toy_config, planned):
+    procedure, state = planned(toy_config, 3)
+    assert len(reference.history) == procedure.count_iterations(state)
     expected = []
-    for unit in plan(toy_config, 3):
+    for unit in procedure.steps(state):
         if unit.task == "coupling":
             expected += [
                 (stage, unit.epoch, batch, i)
@@ -315,7 +328,7 @@ def test_a_continued_run_repeats_the_interrupted_one(
     trainer = Trainer(staged_training(small_cases, toy_config, toy_engine), path, records.append)
     state = trainer.start(0)
     kept = len(state.history)
-    units = plan(toy_config, 3)
+    units = staged_training(small_cases, toy_config, toy_engine).steps(state)
     interrupted = reference.history[number]
     works = {"intermediate_area": "coupling", "fourier_area": "coupling"}
     unit = units[state.finished]
@@ -359,7 +372,7 @@ def test_a_finished_run_has_nothing_left_to_do(
         small_cases, toy_config, toy_engine, checkpoint=path, on_iteration=interrupt_at(0)
     )
     assert final.parameters == reference.parameters
-    assert final.finished == len(plan(toy_config, 3))
+    assert final.finished == 4 * 3 + 2 + 2
 
 
 def test_the_checkpoint_follows_every_epoch(small_cases, toy_config, toy_engine, tmp_path):
@@ -434,7 +447,7 @@ def test_a_killed_run_continues_to_the_same_parameters(
         process.stderr.close()
         assert process.returncode == -signal.SIGKILL
         state = start(small_cases, toy_config, toy_engine, checkpoint=checkpoint)
-        assert finished <= state.finished < len(plan(toy_config, 3))
+        assert finished <= state.finished < 16
         finished = state.finished
     assert finished > 0
     final = train(small_cases, toy_config, toy_engine, checkpoint=checkpoint)

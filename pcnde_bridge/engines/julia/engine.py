@@ -5,7 +5,6 @@ Julia starts when a :class:`JuliaEngine` is created, not when this module is imp
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
@@ -99,8 +98,7 @@ class JuliaEngine:
         def after_iteration(x: Any, loss: float) -> None:
             on_iteration(x.to_numpy(), float(loss))
 
-        with contextlib.suppress(StopIteration):
-            self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
+        self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
 
 
 @cache
