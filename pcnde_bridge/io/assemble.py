@@ -138,18 +138,16 @@ def to_cases(
 def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
     """Return the labels of the files, with numbers for the keys that they lack."""
     first = vessels[0]
-    for other in vessels[1:]:
-        mine, theirs = sorted(first.labels), sorted(other.labels)
-        if mine != theirs:
+    for other in vessels:
+        if other.labels.keys() != first.labels.keys():
             raise InputError(
-                f"{first.name} has the labels {mine}, but {other.name} {theirs}: give all files "
-                "the same labels, or pass labels= (--labels)."
+                f"{first.name} has the labels {sorted(first.labels)}, but {other.name} "
+                f"{sorted(other.labels)}: give all files the same labels, or pass labels= "
+                "(--labels)."
             )
-    labels = pd.DataFrame([dict(vessel.labels) for vessel in vessels])
-    for name, values in (("geometry", np.arange(len(labels))), ("waveform", 0)):
-        if name not in labels:
-            labels[name] = values
-    return labels
+    keys = pd.DataFrame({"geometry": np.arange(len(vessels)), "waveform": 0})
+    labels = pd.DataFrame([dict(vessel.labels) for vessel in vessels], index=keys.index)
+    return labels.join(keys[keys.columns.difference(labels.columns)])
 
 
 def _check_arrays(vessel: VesselResults) -> None:

@@ -53,11 +53,11 @@ def write_vtp(prediction: Predicted, path: StrPath) -> list[Path]:
         If VTK is not installed (extra ``vtk``).
     """
     target = Path(path)
-    cases = range(len(prediction))
-    names = [target.with_name(f"{target.stem}_{case:03d}{target.suffix}") for case in cases]
-    if len(names) == 1:
-        names = [target]
-    contents = {name: _vtp(prediction, case, None) for case, name in enumerate(names)}
+    contents: dict[Path, bytes] = {}
+    for case in range(len(prediction)):
+        number = f"_{case:03d}" if len(prediction) > 1 else ""
+        name = target.with_name(f"{target.stem}{number}{target.suffix}")
+        contents[name] = _vtp(prediction, case, None)
     earlier = rf"{re.escape(target.stem)}_\d{{3,}}{re.escape(target.suffix)}"
     return _write_all(contents, target.parent, earlier)
 
@@ -113,12 +113,10 @@ def _write_all(contents: Mapping[Path, bytes], folder: Path, earlier: str) -> li
     with contextlib.ExitStack() as all_or_none:
         for path, content in contents.items():
             all_or_none.enter_context(atomic_write(path)).write_bytes(content)
-    written = {path.name for path in contents}
     for path in folder.iterdir():
-        if path.name in written or not re.fullmatch(earlier, path.name):
-            continue
         try:
-            if f'Name="{WRITER}"'.encode() in path.read_bytes():
+            old = path not in contents and re.fullmatch(earlier, path.name)
+            if old and f'Name="{WRITER}"'.encode() in path.read_bytes():
                 path.unlink()
         except OSError as error:
             raise FileError(f"Cannot remove {path} of an earlier prediction: {error}.") from error
@@ -127,33 +125,26 @@ def _write_all(contents: Mapping[Path, bytes], folder: Path, earlier: str) -> li
 
 def _vtp(prediction: Predicted, case: int, step: int | None) -> bytes:
     """Return the content of a ``.vtp`` file: one time step, or arrays for each of them."""
-    model = require("vtkmodules.vtkCommonDataModel", "vtk")
-    core, io = require("vtkmodules.vtkCommonCore", "vtk"), require("vtkmodules.vtkIOXML", "vtk")
-    to_vtk = require("vtkmodules.util.numpy_support", "vtk").numpy_to_vtk
-    data, points, lines = model.vtkPolyData(), core.vtkPoints(), model.vtkCellArray()
-    n = prediction.z.size
-    line = np.zeros((n, 3))
-    line[:, 2] = prediction.z
-    points.SetData(to_vtk(line, deep=True))
-    data.SetPoints(points)
+    core, model = (require(f"vtkmodules.vtkCommon{part}", "vtk") for part in ("Core", "DataModel"))
+    data, lines, n = model.vtkPolyData(), model.vtkCellArray(), prediction.z.size
     lines.InsertNextCell(n, list(range(n)))
     data.SetLines(lines)
+    wrapped = require("vtkmodules.numpy_interface.dataset_adapter", "vtk").WrapDataObject(data)
+    wrapped.Points = np.outer(prediction.z, [0.0, 0.0, 1.0])
+    data.GetPoints().GetData().SetName("Points")
     for name, values in _point_arrays(prediction, case, step).items():
-        array = to_vtk(np.ascontiguousarray(values), deep=True)
-        array.SetName(name)
-        data.GetPointData().AddArray(array)
-    labels = prediction.labels.iloc[case].items()
-    facts = {f"{LABEL_PREFIX}{name}": value for name, value in labels}
-    for name, value in {"period": prediction.period, WRITER: __version__, **facts}.items():
+        wrapped.PointData.append(values, name)
+    labels = prediction.labels.iloc[case].add_prefix(LABEL_PREFIX)
+    for name, value in {"period": prediction.period, WRITER: __version__, **labels}.items():
         if isinstance(value, str):
-            array = core.vtkStringArray()
-            array.InsertNextValue(value)
+            text = core.vtkStringArray()
+            text.SetName(name)
+            text.InsertNextValue(value)
+            data.GetFieldData().AddArray(text)
         else:
             number = int(value) if isinstance(value, bool | np.bool_) else value  # VTK has no bool
-            array = to_vtk(np.array([number]), deep=True)
-        array.SetName(name)
-        data.GetFieldData().AddArray(array)
-    writer = io.vtkXMLPolyDataWriter()
+            wrapped.FieldData.append(np.array([number]), name)
+    writer = require("vtkmodules.vtkIOXML", "vtk").vtkXMLPolyDataWriter()
     writer.SetInputData(data)
     writer.WriteToOutputStringOn()
     if not writer.Write():
@@ -173,9 +164,9 @@ def _point_arrays(
         "area_undeformed": prediction.area_undeformed[case],
     }
     for name, values in prediction.variables().items():
-        if step is not None:
-            arrays[name] = values[case, step]
+        if step is None:
+            times = map(float, prediction.time)
+            arrays |= {f"{name}_{t!r}": row for t, row in zip(times, values[case], strict=True)}
         else:
-            for time, row in zip(prediction.time, values[case], strict=True):
-                arrays[f"{name}_{float(time)!r}"] = row
+            arrays[name] = values[case, step]
     return arrays

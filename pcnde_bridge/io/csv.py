@@ -83,54 +83,53 @@ def _vessels(path: Path, frame: pd.DataFrame, keyed: bool) -> list[VesselResults
     if not labels:
         return [_vessel(path, frame, {})]
     # Numbers may be unknown, such as a blockage, but not the labels that identify a case.
-    known = [n for n in labels if n in _KEYS or not is_numeric_dtype(frame[n])]
+    known = [name for name in labels if name in _KEYS or not is_numeric_dtype(frame[name])]
     if lacking := [name for name in known if frame[name].isna().any()]:
         raise InputError(f"{path}: a label is missing in the columns {lacking}.")
     groups = frame.groupby(labels, sort=True, dropna=False)
-    _check_labels(path, frame, labels, groups.size(), keyed)
+    if fault := _fault_of_labels(frame, labels, groups.size(), keyed):
+        raise InputError(
+            f"{path}: {fault}. Leave out columns that are not labels of a whole case, or name them "
+            "…_standard_deviation."
+        )
     return [_vessel(path, rows, dict(zip(labels, key, strict=True))) for key, rows in groups]
 
 
-def _check_labels(
-    path: Path, frame: pd.DataFrame, labels: list[str], sizes: pd.Series[int], keyed: bool
-) -> None:
-    """Raise if a column is not a label of a whole case, such as a velocity or a row number."""
-    advice = (
-        "Leave out columns that are not labels of a whole case, or name them …_standard_deviation."
-    )
+def _fault_of_labels(
+    frame: pd.DataFrame, labels: list[str], sizes: pd.Series[int], keyed: bool
+) -> str:
+    """Describe columns that are not labels of a whole case, such as a velocity or row number."""
     if keyed and set(_KEYS) <= set(labels):
         counts = frame.groupby(_KEYS)[labels].nunique(dropna=False).max()
         if varying := [name for name in labels if counts[name] > 1]:
-            raise InputError(
-                f"{path}: {listed(varying)} {'changes' if len(varying) == 1 else 'change'} within "
-                f"a case, rows of the same geometry and waveform. {advice}"
-            )
-    if sizes.min() < _FEWEST:
-        many = [name for name in labels if frame[name].nunique() * _FEWEST > len(frame)]
-        which = f" These have too many values: {listed(many)}." if many else ""
-        raise InputError(
-            f"{path}: the labels {listed(labels)} identify {counted(len(sizes), 'case')}, one "
-            f"with {counted(int(sizes.min()), 'row')} only. {advice}{which}"
-        )
+            verb = "changes" if len(varying) == 1 else "change"
+            return f"{listed(varying)} {verb} within a case, rows of one geometry and waveform"
+    if sizes.min() >= _FEWEST:
+        return ""
+    many = [name for name in labels if frame[name].nunique() * _FEWEST > len(frame)]
+    return (
+        f"the labels {listed(labels)} identify {counted(len(sizes), 'case')}, one with "
+        f"{counted(int(sizes.min()), 'row')} only{'; too many values: ' * bool(many)}{listed(many)}"
+    )
 
 
 def _vessel(path: Path, rows: pd.DataFrame, labels: Mapping[str, Any]) -> VesselResults:
     """Return the results of one case from its rows, in any order."""
     named = ", ".join(f"{name} {value}" for name, value in labels.items())
     where = f"{path} ({named})" if named else str(path)
+    table = rows.set_index(["time", "z"]).sort_index()
     time, z = np.unique(rows["time"]), np.unique(rows["z"])
-    if len(rows) != time.size * z.size or rows.duplicated(["time", "z"]).any():
+    if len(rows) != time.size * z.size or not table.index.is_unique:
         raise InputError(
             f"{where} has {len(rows)} rows, but {time.size} time points and {z.size} points make "
             f"{time.size * z.size}: give each time point and point once. If there are several "
             "cases, add columns that identify them, such as geometry and waveform."
         )
-    ordered = rows.sort_values(["time", "z"])
     fields: dict[str, Any] = {
-        name: ordered[name].to_numpy().reshape(time.size, z.size) for name in COLUMNS[2:]
+        name: table[name].to_numpy().reshape(time.size, z.size) for name in COLUMNS[2:]
     }
     undeformed = fields.pop("area_undeformed")
-    if np.abs(undeformed - undeformed[0]).max() > 1e-9 * np.abs(undeformed[0]).max():
+    if np.ptp(undeformed, axis=0).max() > 1e-9 * np.abs(undeformed[0]).max():
         raise InputError(f"{where}: area_undeformed changes with time.")
     return VesselResults(
         where, **fields, area_undeformed=undeformed[0], time=time, z=z, labels=labels

@@ -101,28 +101,30 @@ def download_published(
 
     folder, checksums = cache_folder(cache) / _FOLDER, _checksums()
     base = base_url.rstrip("/") + "/"
-    urls = {name: base + _remote(name) for name in checksums}
-    fetcher = pooch.create(
-        path=folder, base_url=base, registry=checksums, urls=urls, retry_if_failed=retries
-    )
+    # Only the data set has another place in the authors' repository than in the cache.
+    urls = {name: base + "data/" * name.startswith("data_3D/") + name for name in checksums}
+    fetcher = pooch.create(folder, base, registry=checksums, urls=urls, retry_if_failed=retries)
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("ERROR")  # by default it prints one line for each file
     names = track(checksums, "Downloading", console=Console(stderr=True), disable=not progress)
     try:
         for name in names:
-            try:
-                fetcher.fetch(name)
-            except requests.exceptions.RequestException as error:
-                raise _not_downloaded(name, urls[name], folder, str(error)) from error
-            except ValueError as error:
-                why = "it is not the published file: its checksum differs"
-                raise _not_downloaded(name, urls[name], folder, why) from error
-            except OSError as error:
-                raise FileError(
-                    f"cannot write to the cache {str(folder)!r}: {error}; free space there or set "
-                    "PCNDE_CACHE to another folder"
-                ) from error
+            fetcher.fetch(name)
+    except (requests.exceptions.RequestException, ValueError) as error:
+        is_network = isinstance(error, requests.exceptions.RequestException)
+        why = error if is_network else "it is not the published file: its checksum differs"
+        raise DataNotFoundError(
+            f"{name} could not be downloaded from {urls[name]}: {why}. Finished files stay in "
+            f"{str(folder)!r}; call again to continue. To get the data by hand, download "
+            f"{PUBLISHED_REPOSITORY} (commit {PUBLISHED_COMMIT[:7]}) on a machine with a "
+            "connection and set PCNDE_DATA to its folder 'data', which contains data_3D"
+        ) from error
+    except OSError as error:
+        raise FileError(
+            f"cannot write to the cache {str(folder)!r}: {error}; free space there or set "
+            "PCNDE_CACHE to another folder"
+        ) from error
     finally:
         logger.setLevel(level)
     return folder
@@ -191,17 +193,3 @@ def _checksums() -> Mapping[str, str]:
     """Return the SHA-256 checksum of each published file, by its name in the cache."""
     text = resources.files("pcnde_bridge.io").joinpath("published_registry.txt").read_text("utf-8")
     return dict(line.split() for line in text.splitlines() if not line.startswith("#"))
-
-
-def _remote(name: str) -> str:
-    """Return the path of a file in the authors' repository."""
-    return f"data/{name}" if name.startswith("data_3D/") else name
-
-
-def _not_downloaded(name: str, url: str, folder: Path, why: str) -> DataNotFoundError:
-    return DataNotFoundError(
-        f"{name} could not be downloaded from {url}: {why}. Finished files stay in "
-        f"{str(folder)!r}; call again to continue. To get the data by hand, download "
-        f"{PUBLISHED_REPOSITORY} (commit {PUBLISHED_COMMIT[:7]}) on a machine with a connection "
-        "and set PCNDE_DATA to its folder 'data', which contains data_3D"
-    )

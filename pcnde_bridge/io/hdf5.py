@@ -10,6 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
+from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.files import Budget, as_paths, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import naming
@@ -26,8 +27,9 @@ _AXES = {
     "area_undeformed": ("case", "z"),
     "time": ("time",),
     "z": ("z",),
+    "period": (),
 }
-NAMES = tuple(_AXES)
+NAMES = tuple(name for name in _AXES if name != "period")
 
 
 def read_hdf5(
@@ -69,49 +71,39 @@ def read_hdf5(
         if not isinstance(place, str):
             raise InputError(f"names[{name!r}] must be the path of a data set, got {place!r}.")
     stated = set(stated_units(options.get("units")))
-    vessels: list[VesselResults] = []
-    for path in as_paths(paths):
+    chosen, vessels, ours = as_paths(paths), [], []
+    for path in chosen:
         with naming(path):
-            vessels += _read(path, places, stated)
+            found, units, is_ours = _read(path, places)
+            vessels += _vessels(path, found, _known_units(units, stated))
+            ours += [path] * is_ours
     cases = to_cases(vessels, **options)
-    for path in as_paths(paths):
-        _check_own(path)
+    for path in ours:
+        Cases.load(path)  # compares the checksum
     return cases
 
 
-def _read(path: Path, places: Mapping[str, str], stated: set[str]) -> list[VesselResults]:
+def _read(
+    path: Path, places: Mapping[str, str]
+) -> tuple[dict[str, npt.NDArray[Any]], dict[str, str], bool]:
+    """Return arrays and units by name, and whether this package wrote the file."""
     import h5py
 
-    arrays: dict[str, npt.NDArray[Any]] = {}
-    labels: dict[str, npt.NDArray[Any]] = {}
-    units: dict[str, str] = {}
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
-        budget = Budget(path.stat().st_size)
-        for name in (*NAMES, "period"):
-            place = places.get(name, name)
-            if (values := read_dataset(file, place, budget)) is not None:
-                arrays[name] = values
-                units[name] = _text(file[place].attrs.get("units", ""))
         group = file.get("labels")
-        for name in group if isinstance(group, h5py.Group) else ():
-            if (values := read_dataset(file, f"labels/{name}", budget)) is not None:
-                labels[name] = values
-    if absent := [name for name in NAMES if name not in arrays]:
-        raise InputError(
-            f"it lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} (--names "
-            f"{absent[0]}=path)."
-        )
-    return _vessels(path, arrays, labels, _known_units(units, stated))
-
-
-def _check_own(path: Path) -> None:
-    """Compare the checksum of a file that this package wrote."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        ours = _text(file.attrs.get("format", "")) == FORMAT
-    if ours:
-        Cases.load(path)
+        labels = [f"labels/{name}" for name in group] if isinstance(group, h5py.Group) else []
+        budget = Budget(path.stat().st_size)
+        found = {
+            name: values
+            for name in (*_AXES, *labels)
+            if (values := read_dataset(file, places.get(name, name), budget)) is not None
+        }
+        units = {
+            name: _text(file[places.get(name, name)].attrs.get("units", ""))
+            for name in found
+            if name not in labels
+        }
+        return found, units, _text(file.attrs.get("format", "")) == FORMAT
 
 
 def _text(attribute: Any) -> str:
@@ -146,33 +138,31 @@ def _usual_spelling(unit: str) -> str:
 
 
 def _vessels(
-    path: Path,
-    arrays: Mapping[str, npt.NDArray[Any]],
-    labels: Mapping[str, npt.NDArray[Any]],
-    units: Mapping[str, str],
+    path: Path, arrays: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str]
 ) -> list[VesselResults]:
     """Return the results of each case from the arrays of a file."""
+    if absent := [name for name in NAMES if name not in arrays]:
+        raise InputError(
+            f"it lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} (--names "
+            f"{absent[0]}=path)."
+        )
+    fields: dict[str, Any] = {}
     for name, array in arrays.items():
-        if array.dtype.kind not in "iuf":
+        if not name.startswith("labels/") and array.dtype.kind not in "iuf":
             raise InputError(f"{name} holds {array.dtype}, not numbers.")
-    fields = {name: arrays[name].astype(np.float64) for name in NAMES}
-    for name, axes in _AXES.items():
-        if axes[0] == "case" and fields[name].ndim == len(axes) - 1:
-            fields[name] = fields[name][np.newaxis]
-    count = len(fields["flow"]) if fields["flow"].ndim == 3 else 0
-    for name, axes in _AXES.items():
-        values = fields[name]
-        if values.ndim != len(axes) or (axes[0] == "case" and len(values) != count):
+        axes = _AXES.get(name, ("case",))
+        values = array.squeeze() if name == "period" else array
+        by_case = "case" in axes
+        if by_case and values.ndim == len(axes) - 1:
+            values = values[np.newaxis]
+        if values.ndim != len(axes) or (by_case and len(values) != len(fields.get("flow", values))):
             raise InputError(
-                f"{name} has the shape {arrays[name].shape}; it must be ({', '.join(axes)}), with "
-                "as many cases as flow. The axis of a single case can be left out."
+                f"{name} has the shape {array.shape}; it must be ({', '.join(axes)}), with as many "
+                "cases as flow. The axis of a single case can be left out."
             )
-    period = arrays.get("period")
-    if period is not None and period.size != 1:
-        raise InputError(f"period must be one number, it has the shape {period.shape}.")
-    for name, column in labels.items():
-        if column.shape != (count,):
-            raise InputError(f"labels/{name} has the shape {column.shape}, not ({count},).")
+        fields[name] = values.astype(np.float64) if name in _AXES else values
+    labels = with_prefix("labels/", fields)
+    count = len(fields["flow"])
     return [
         VesselResults(
             f"{path}, case {i}" if count > 1 else str(path),
@@ -181,7 +171,7 @@ def _vessels(
             z=fields["z"],
             labels={name: column[i] for name, column in labels.items()},
             units=units,
-            period=None if period is None else float(period.item()),
+            period=float(fields["period"]) if "period" in fields else None,
         )
         for i in range(count)
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
-from pcnde_bridge.io.tables import line_of, numbers, read_frame
+from pcnde_bridge.io.tables import first_line, line_of, numbers, read_frame
 
 _SAME = 1e-6  # of a step, a range or an axis
 _AXES = {"time": ("time", "t"), "z": ("z", "x", "s", "distance", "position", "path")}
@@ -33,18 +32,15 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     Files without names of columns have two columns of numbers, as the waveforms of openBF
     (``.dat``) and SimVascular (``.flow``), where flow into the vessel is negative.
     """
-    first = _first_line(Path(path))
+    first = first_line(path)
     words = re.split(r"[\s,;]+", first.strip())
-    options: dict[str, Any] = {}
-    if all(map(_NUMBER.fullmatch, words)) and len(words) == 2:
-        separator = next((mark for mark in ",;" if mark in first), r"\s+")
-        options = {"header": None, "names": [axis, Path(path).stem], "sep": separator}
-        options["comment"] = "#"
-    elif ";" in first and "," not in first:
-        options = {"sep": ";", "decimal": ","}
-    elif "\t" in first and "," not in first:
-        options = {"sep": "\t"}
-    frame = read_frame(path, **options)
+    unnamed = len(words) == 2 and all(map(_NUMBER.fullmatch, words))
+    marks, other = (",;", r"\s+") if unnamed else (",;\t", ",")
+    separator = next((mark for mark in marks if mark in first), other)
+    options: dict[str, Any] = {"decimal": "," if separator == ";" else "."}
+    if unnamed:
+        options = {"header": None, "names": [axis, Path(path).stem], "comment": "#"}
+    frame = read_frame(path, sep=separator, **options)
     name, _, unit = str(frame.columns[0]).strip(" )]").replace("[", "(").partition("(")
     if frame.shape[1] < 2 or name.strip().lower() not in _AXES[axis]:
         raise InputError(
@@ -57,18 +53,8 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
             f"--units {axis}={unit}."
         )
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
-    cases = found.iloc[:, 1:]
-    if "header" in options and Path(path).suffix.lower() == ".flow":
-        cases = -cases
-    return found.iloc[:, 0].to_numpy(), cases
-
-
-def _first_line(path: Path) -> str:
-    """Return the first line that is neither blank nor a comment; empty for no plain text."""
-    if path.is_file():
-        with contextlib.suppress(OSError, ValueError), path.open(encoding="utf-8-sig") as text:
-            return next((row for row in text if row.strip() and not row.startswith("#")), "")
-    return ""
+    inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
+    return found.iloc[:, 0].to_numpy(), (1 if inwards else -1) * found.iloc[:, 1:]
 
 
 def _rows(columns: pd.DataFrame) -> Array:
@@ -127,8 +113,7 @@ def read_cycle(
             f"{path}, line {line_of(path, 0)}: time starts at {time[0]:g} s, but it must start at "
             f"{start:g} s, as the model's cycle does; shift the cycle, or pass --interpolate."
         )
-    rows = _rows(columns)
-    closed = bool(np.isfinite(rows).all()) and _ends_as_it_begins(rows, span, usual_period)
+    closed = _is_closed(_rows(columns), math.isclose(span, usual_period, rel_tol=1e-6))
     if period is None:
         if closed and Path(path).suffix.lower() not in (".flow", ".dat"):
             raise InputError(
@@ -142,10 +127,13 @@ def read_cycle(
             "another period (--period)."
         )
     if abs(span - period) <= 1e-3 * steps.min():
-        time, columns = time[:-1], columns.iloc[:-1]
-        steps = steps[:-1]
+        time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
     if time_points is not None:
-        return period, _interpolated(time, columns, period, start, time_points)
+        at = start + np.arange(time_points) * (period / time_points)
+        terms = min(60, (time_points - 1) // 2)  # harmonics that these time points can hold
+        return period, columns.apply(
+            lambda flow: pd.Series(Waveform.from_samples(flow, time, period, terms).flow(at))
+        )
     step = period / time.size
     off = np.abs(steps - step)
     if off.max() > _SAME * step * time.size:
@@ -157,29 +145,19 @@ def read_cycle(
     return period, columns
 
 
-def _ends_as_it_begins(waveforms: Array, span: float, usual_period: float) -> bool:
-    """Return whether the last time point repeats the first, up to round-off."""
+def _is_closed(waveforms: Array, usual_length: bool) -> bool:
+    """Return whether the last time point repeats the first, up to round-off.
+
+    Constant waveforms do only if the recording has the usual length of a cycle.
+    """
+    if not np.isfinite(waveforms).all():
+        return False
     size = np.ptp(waveforms, axis=1)
-    closed = bool((np.abs(waveforms[:, -1] - waveforms[:, 0]) <= _SAME * size).all())
-    return closed and (bool(size.any()) or math.isclose(span, usual_period, rel_tol=1e-6))
+    repeats = np.abs(waveforms[:, -1] - waveforms[:, 0]) <= _SAME * size
+    return bool(repeats.all() and (size.any() or usual_length))
 
 
-def _interpolated(
-    time: Array, columns: pd.DataFrame, period: float, start: float, count: int
-) -> pd.DataFrame:
-    """Return waveforms at equal steps of the cycle, without harmonics that these cannot hold."""
-    at = start + np.arange(count) * (period / count)
-    terms = min(60, (count - 1) // 2)
-    series = {
-        name: Waveform.from_samples(flow, time, period, terms).flow(at)
-        for name, flow in columns.items()
-    }
-    return pd.DataFrame(series)
-
-
-def read_columns(
-    path: StrPath, axis: str, expected: Array, unit: str, *, factor: float = 1.0
-) -> pd.DataFrame:
+def read_columns(path: StrPath, axis: str, expected: Array, factor: float = 1.0) -> pd.DataFrame:
     """Read one column for each case on the grid of a model.
 
     Parameters
@@ -190,10 +168,8 @@ def read_columns(
         ``"time"`` or ``"z"``.
     expected : array of shape (n,)
         Values that the axis must have.
-    unit : str
-        Unit of the axis, for messages.
     factor : float
-        Unit of the file's axis, in that unit.
+        Unit of the file's axis, s or cm.
 
     Returns
     -------
@@ -208,7 +184,7 @@ def read_columns(
         If a column is missing or not numeric, or the axis has other values.
     """
     found, columns = _read(path, axis)
-    found = factor * found
+    found, unit = factor * found, SYSTEMS["cgs"][axis]
     if len(found) != len(expected):
         raise InputError(
             f"{path} has {len(found)} rows, but the model works on {len(expected)} values of "
@@ -298,26 +274,25 @@ def read_inputs(
     """
     where: dict[str, Any] = {}
     factor = factors_to_cgs(stated_units(units))
-    cycle = grid.time[0] / factor["time"], grid.period / factor["time"]
+    start, usual_period = grid.time[0] / factor["time"], grid.period / factor["time"]
     if any_grid or interpolate or period is not None:
         count = grid.time.size if interpolate else None
         given = None if period is None else period / factor["time"]
-        found, q = read_cycle(inflow, *cycle, period=given, time_points=count)
+        found, q = read_cycle(inflow, start, usual_period, period=given, time_points=count)
         if any_grid:
             where["period"] = found
-        elif not math.isclose(found, cycle[1], rel_tol=1e-6) or len(q) != grid.time.size:
+        elif not math.isclose(found, usual_period, rel_tol=1e-6) or len(q) != grid.time.size:
             raise InputError(
                 f"{inflow} has {len(q)} time points over {found * factor['time']:g} s, but the "
                 f"model works at {grid.time.size} over {grid.period:g} s."
             )
     else:
-        q = read_columns(inflow, "time", grid.time, "s", factor=factor["time"])
+        q = read_columns(inflow, "time", grid.time, factor["time"])
     if any_grid:
         where["z"], s_u = _read(area, "z")
-    elif interpolate:
-        s_u = _on_points(area, grid.z, factor["z"])
     else:
-        s_u = read_columns(area, "z", grid.z, "cm", factor=factor["z"])
+        read_areas = _on_points if interpolate else read_columns
+        s_u = read_areas(area, "z", grid.z, factor["z"])
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
         alone = sorted(set(by_inflow) ^ set(by_area))
@@ -333,11 +308,11 @@ def read_inputs(
     return CaseInputs(_rows(q), _rows(s_u), names, where)
 
 
-def _on_points(path: StrPath, points: Array, factor: float) -> pd.DataFrame:
-    """Return areas at the points of a model, by monotone cubic interpolation."""
+def _on_points(path: StrPath, axis: str, points: Array, factor: float) -> pd.DataFrame:
+    """Return columns at the points of a model, by monotone cubic interpolation."""
     from scipy.interpolate import PchipInterpolator
 
-    z, columns = _read(path, "z")
+    z, columns = _read(path, axis)
     z = factor * z
     check_increasing("z", z, "cm")
     if abs(z[[0, -1]] - points[[0, -1]]).max() > 1e-3 * np.ptp(points):
@@ -346,4 +321,4 @@ def _on_points(path: StrPath, points: Array, factor: float) -> pd.DataFrame:
             f"{points[0]:g} to {points[-1]:g} cm."
         )
     at = np.clip(points, z[0], z[-1])
-    return pd.DataFrame({name: PchipInterpolator(z, s_u)(at) for name, s_u in columns.items()})
+    return pd.DataFrame(PchipInterpolator(z, columns)(at), columns=columns.columns)

@@ -48,21 +48,20 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     if cycle is None:
         return _whole_recording(vessel)
     cycle = positive("period", cycle, "s")
-    time = vessel.time
-    span, steps = float(np.ptp(time)), np.diff(time)
-    tolerance = 1e-3 * float(steps.min())
-    if span + float(steps.max()) < cycle - tolerance:
+    time, steps = vessel.time, np.diff(vessel.time)
+    span, tolerance = float(np.ptp(time)), 1e-3 * float(steps.min())
+    if span + steps.max() < cycle - tolerance:
         raise InputError(f"it covers {span:g} s, less than the period of {cycle:g} s.")
-    taken = np.flatnonzero(time > time[-1] - cycle + tolerance)
+    last = np.flatnonzero(time > time[-1] - cycle + tolerance)
     # Of two saves at almost the same phase, the later one is used.
-    if time[taken[0]] - (time[-1] - cycle) < _NEAR * float(np.median(steps)):
-        taken = taken[1:]
+    near = time[last[0]] - (time[-1] - cycle) < _NEAR * float(np.median(steps))
+    taken = last[1:] if near else last
     if taken.size < _FEWEST:
         raise InputError(
             f"a cycle of {cycle:g} s has {taken.size} time points only, and needs at least "
             f"{_FEWEST}: save more often, or correct the period."
         )
-    if not _repeats(vessel, cycle):
+    if not _repeats(vessel, last, cycle):
         raise InputError(
             f"it is not periodic: one period of {cycle:g} s before its end it differs from the end "
             f"by more than {_CLOSED:.0%} of its range. Correct the period, or simulate more cycles."
@@ -82,7 +81,8 @@ def _whole_recording(vessel: VesselResults) -> VesselResults:
             f"the time steps differ, from {steps.min():g} to {steps.max():g} s: pass the period, "
             "and time_points= (--period, --time-points) to resample."
         )
-    if _alike(vessel, 0, -1, 1e-6) and np.ptp(inflow) > 0:
+    ends = (np.abs(v[0] - v[-1]).max() <= _SAME * np.ptp(v) for v in vessel.variables().values())
+    if all(ends) and np.ptp(inflow) > 0:
         raise InputError(
             "the last time point repeats the first, one period later. Pass "
             f"period={span:g} (--period {span:g}) to leave it out."
@@ -95,7 +95,7 @@ def _whole_recording(vessel: VesselResults) -> VesselResults:
     return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
 
 
-def _repeats(vessel: VesselResults, cycle: float) -> bool:
+def _repeats(vessel: VesselResults, last: npt.NDArray[np.intp], cycle: float) -> bool:
     """Compare the last cycle with the one before, as far as it was recorded.
 
     The earlier cycle is interpolated to the times one period before those of the last one.
@@ -103,22 +103,10 @@ def _repeats(vessel: VesselResults, cycle: float) -> bool:
     from scipy.interpolate import CubicSpline
 
     time = vessel.time
-    step = float(np.diff(time).min())
-    later = time[time > time[-1] - cycle + 1e-3 * step]
-    later = later[later - cycle >= time[0] - _NEAR * step]
-    if later.size == 0:
-        return True
-    for values in vessel.variables().values():
-        earlier = CubicSpline(time, values)(later - cycle)
-        if np.abs(earlier - values[-later.size :]).max() > _CLOSED * np.ptp(values):
-            return False
-    return True
-
-
-def _alike(vessel: VesselResults, one: int, other: int, tolerance: float) -> bool:
-    """Compare two time points up to a fraction of each variable's range."""
+    last = last[time[last] - cycle >= time[0] - _NEAR * np.diff(time).min()]
     return all(
-        np.abs(values[one] - values[other]).max() <= tolerance * np.ptp(values)
+        np.abs(CubicSpline(time, values)(time[last] - cycle) - values[last]).max(initial=0)
+        <= _CLOSED * np.ptp(values)
         for values in vessel.variables().values()
     )
 
@@ -164,19 +152,17 @@ def _periodic(time: Array, values: Array, period: float, count: int) -> Array:
 
     low, high = values.min(axis=0), values.max(axis=0)
     if not _uniform(time, period):
-        closed = np.concatenate([values, values[:1]])
-        spline = CubicSpline(np.append(time, time[0] + period), closed, bc_type="periodic")
-        shortest = np.diff(np.append(time, time[0] + period)).min()
-        fine = min(max(count, math.ceil(period / shortest)), 10_000)
+        closed = np.append(time, time[0] + period)
+        spline = CubicSpline(closed, np.concatenate([values, values[:1]]), bc_type="periodic")
+        fine = min(max(count, math.ceil(period / np.diff(closed).min())), 10_000)
         values = spline(time[0] + period / fine * np.arange(fine))
     resampled: Array = resample(values, count, axis=0)
-    size = float(np.max(high - low))
-    beyond = max(float(np.max(resampled - high)), float(np.max(low - resampled)))
-    if beyond > _OVERSHOOT * size + 1e-9 * float(np.abs(values).max()):
+    size, beyond = np.max(high - low), np.max([resampled - high, low - resampled])
+    if beyond > _OVERSHOOT * size + 1e-9 * np.abs(values).max():
         raise InputError(
-            f"resampling to {count} time points overshoots the values by "
-            f"{beyond:.3g}, and their range is {size:.3g}: the cycle is not smooth. Ask for about "
-            "as many time points as were saved, or save more often."
+            f"resampling to {count} time points overshoots the values by {beyond:.3g}, and their "
+            f"range is {size:.3g}: the cycle is not smooth. Ask for about as many time points as "
+            "were saved, or save more often."
         )
     return resampled
 
@@ -227,7 +213,7 @@ def match_length(vessel: VesselResults, first: VesselResults) -> VesselResults:
 
 
 def check_same_grid(first: VesselResults, other: VesselResults) -> None:
-    """Raise unless two vessels have the same time points, points and period.
+    """Raise unless two vessels have the same time points, points and thus period.
 
     Raises
     ------
@@ -243,10 +229,3 @@ def check_same_grid(first: VesselResults, other: VesselResults) -> None:
                 f"one grid. Resample with {option}= (--{option.replace('_', '-')}) where they "
                 "differ in number; vessels of other lengths or periods need separate data sets."
             )
-    assert first.period is not None
-    assert other.period is not None
-    if not math.isclose(first.period, other.period, rel_tol=_SAME):
-        raise InputError(
-            f"{first.name} has the period {first.period:g} s, {other.name} {other.period:g} s: "
-            "a data set has one period."
-        )

@@ -12,13 +12,15 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.files import as_paths
 from pcnde_bridge._utils.validation import naming, positive
 from pcnde_bridge.data.cases import Cases
@@ -81,159 +83,141 @@ def read_simvascular(
     vessels = []
     for path in as_paths(paths):
         with naming(path):
-            centerline = _Centerline(read_lines(path), branch)
-            vessels.append(centerline.results(str(path), time_step, rigid))
+            vessels.append(_read_vessel(path, branch, time_step, rigid))
     return to_cases(vessels, **options)
 
 
-class _Centerline:
-    """One vessel of a centerline file."""
-
-    def __init__(self, lines: Lines, branch: int | None) -> None:
-        self._points, self._lines, self._arrays, self._facts = lines
-        self._has_path = "Path" in self._arrays and self._arrays["Path"].ndim == 1
-        self._chosen = self._ordered_points(branch)
-
-    def results(self, name: str, time_step: float | None, rigid: bool) -> VesselResults:
-        """Return the results of the vessel, in the order of time and from its inlet on."""
-        names = self._names_by_step()
-        steps = sorted(names["pressure"], key=float)
-        fields: dict[str, Any] = {
-            variable: np.array([self._values(named[step]) for step in steps])
-            for variable, named in names.items()
-        }
-        undeformed = next((array for array in _UNDEFORMED if array in self._arrays), None)
-        if undeformed is None:
-            raise InputError(
-                "it has no undeformed area: it needs the array CenterlineSectionArea or "
-                "area_undeformed (cm²)."
-            )
-        area_undeformed = self._values(undeformed)
-        if "area" not in fields:
-            if not rigid:
-                raise InputError(
-                    "it has no area for each time step (area_…). If the walls were rigid, pass "
-                    f"rigid=True (--rigid): then {undeformed} is used at all times."
-                )
-            fields["area"] = np.broadcast_to(area_undeformed, fields["flow"].shape)
-        period = self._facts.get("period")
-        return VesselResults(
-            name,
-            **fields,
-            area_undeformed=area_undeformed,
-            time=_times(steps, time_step),
-            z=self._distance(),
-            labels={
-                fact.removeprefix(LABEL_PREFIX): value
-                for fact, value in self._facts.items()
-                if fact.startswith(LABEL_PREFIX)
-            },
-            period=None if isinstance(period, str) else period,
-            predicted=WRITER in self._facts,
+def _read_vessel(
+    path: Path, branch: int | None, time_step: float | None, rigid: bool
+) -> VesselResults:
+    """Return the results of a vessel, in the order of time and from its inlet on."""
+    centerline = read_lines(path)
+    points, arrays = _from_inlet_on(centerline, branch)
+    names = _names_by_step(arrays)
+    undeformed = next((name for name in _UNDEFORMED if name in arrays), None)
+    if undeformed is None:
+        raise InputError(
+            "it has no undeformed area: it needs the array CenterlineSectionArea or "
+            "area_undeformed (cm²)."
         )
+    if "area" not in names and not rigid:
+        raise InputError(
+            "it has no area for each time step (area_…). If the walls were rigid, pass rigid=True "
+            f"(--rigid): then {undeformed} is used at all times."
+        )
+    steps = sorted(names["pressure"], key=float)
+    names.setdefault("area", dict.fromkeys(steps, undeformed))
+    fields: dict[str, Any] = {
+        variable: np.array([_scalar(arrays, named[step]) for step in steps])
+        for variable, named in names.items()
+    }
+    if _has_path(arrays):
+        z = arrays["Path"] - arrays["Path"][:1]
+    else:
+        z = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum())
+    facts = centerline.facts
+    period = facts.get("period")
+    return VesselResults(
+        str(path),
+        **fields,
+        area_undeformed=_scalar(arrays, undeformed),
+        time=_times(steps, time_step),
+        z=z,
+        labels=with_prefix(LABEL_PREFIX, facts),
+        period=None if isinstance(period, str) else period,
+        predicted=WRITER in facts,
+    )
 
-    def _ordered_points(self, branch: int | None) -> _Positions:
-        """Return the points of the vessel, from its inlet on."""
-        if "BranchId" not in self._arrays:
-            if branch is not None:
-                raise InputError("it has no array BranchId: leave branch out.")
-            found = _along(self._lines, np.arange(len(self._points)))
-            if found is None:
-                raise InputError(
-                    "it has no array BranchId, and its points are not one line from an inlet to an "
-                    "outlet. Extract the centerline of one vessel, or one with BranchId."
-                )
-            return found
-        ids = self._scalar("BranchId")
-        chosen = np.flatnonzero(ids == _chosen_branch(ids, branch))
-        if self._has_path:
-            return chosen[np.argsort(self._arrays["Path"][chosen], kind="stable")]
-        found = _along(self._lines, chosen)
-        if found is None:
+
+def _from_inlet_on(centerline: Lines, branch: int | None) -> tuple[Array, dict[str, Array]]:
+    """Return the points of the vessel, and the arrays at them, from its inlet on."""
+    arrays = centerline.arrays
+    chosen = np.arange(len(centerline.points))
+    lacks = "BranchId, and its points are not one line from an inlet to an outlet"
+    if "BranchId" in arrays:
+        ids = _scalar(arrays, "BranchId")
+        branch = _chosen_branch(ids, branch)
+        chosen = np.flatnonzero(ids == branch)
+        lacks = f"Path, and no line that runs once through all points of branch {branch}"
+    elif branch is not None:
+        raise InputError("it has no array BranchId: leave branch out.")
+    if "BranchId" in arrays and _has_path(arrays):
+        order: _Positions | None = chosen[np.argsort(arrays["Path"][chosen], kind="stable")]
+    else:
+        order = _along(centerline.lines, chosen)
+    if order is None:
+        raise InputError(
+            f"it has no array {lacks}: their order along the vessel is unknown. Export the "
+            "centerline of one vessel with BranchId and Path, as svSlicer writes it, or with its "
+            "lines."
+        )
+    return centerline.points[order], {name: array[order] for name, array in arrays.items()}
+
+
+def _has_path(arrays: Mapping[str, Array]) -> bool:
+    return "Path" in arrays and arrays["Path"].ndim == 1
+
+
+def _names_by_step(arrays: Mapping[str, Array]) -> dict[str, dict[str, str]]:
+    """Return the arrays' names of each variable by their time step, the same for all."""
+    found: dict[str, dict[str, str]] = {"pressure": {}, "velocity": {}}
+    for name in arrays:
+        if match := _STEP.fullmatch(name):
+            found.setdefault(match[1].lower(), {})[match[2]] = name
+    found.setdefault("flow", found.pop("velocity"))
+    for name, steps in found.items():
+        if not steps:
             raise InputError(
-                "it has no array Path, and no line that runs once through all points of branch "
-                f"{int(ids[chosen[0]])}: their order along the vessel is unknown. Export the "
-                "centerline with Path, as svSlicer writes it, or with its lines."
+                f"it has no arrays {name}_<time step>{' or velocity_…' * (name == 'flow')}; "
+                f"it has {sorted(arrays)[:10]}. Give averaged results on a centerline, as svSlicer "
+                "writes them."
             )
-        return found
-
-    def _distance(self) -> Array:
-        """Return the distance of the points from the first one."""
-        if self._has_path:
-            along = self._values("Path")
-            return np.asarray(along - along[:1])
-        steps = np.linalg.norm(np.diff(self._points[self._chosen], axis=0), axis=1)
-        return np.append(0.0, np.cumsum(steps))
-
-    def _names_by_step(self) -> dict[str, dict[str, str]]:
-        """Return the arrays' names of each variable by their time step, the same for all."""
-        found: dict[str, dict[str, str]] = {}
-        for name in self._arrays:
-            if match := _STEP.fullmatch(name):
-                found.setdefault(match[1].lower(), {})[match[2]] = name
-        velocity = found.pop("velocity", {})
-        found.setdefault("flow", velocity)
-        for name in ("pressure", "flow"):
-            if not found.get(name):
-                raise InputError(
-                    f"it has no arrays {name}_<time step>{' or velocity_…' * (name == 'flow')}; "
-                    f"it has {sorted(self._arrays)[:10]}. Give averaged results on a centerline, "
-                    "as svSlicer writes them."
-                )
-        every = set[str]().union(*found.values())
-        complete = every.intersection(*found.values())
-        for name, steps in found.items():
-            if missing := sorted(every.difference(steps)):
-                raise InputError(
-                    f"it has no {name}_{missing[0]} ({len(missing)} time steps lack {name}, "
-                    f"{len(complete)} are complete)."
-                )
-        return found
-
-    def _values(self, name: str) -> Array:
-        """Return an array at the points of the vessel."""
-        return self._scalar(name)[self._chosen]
-
-    def _scalar(self, name: str) -> Array:
-        """Return an array of one number at each point."""
-        array = self._arrays[name]
-        if array.ndim != 1:
+    every = set[str]().union(*found.values())
+    complete = every.intersection(*found.values())
+    for name, steps in found.items():
+        if missing := sorted(every.difference(steps)):
             raise InputError(
-                f"{name} has {array.shape[1]} numbers at each point, but an average over the "
-                "cross-section is one number: a flow, not a velocity."
+                f"it has no {name}_{missing[0]} ({len(missing)} time steps lack {name}, "
+                f"{len(complete)} are complete)."
             )
-        return array
+    return found
+
+
+def _scalar(arrays: Mapping[str, Array], name: str) -> Array:
+    """Return an array of one number at each point."""
+    array = arrays[name]
+    if array.ndim != 1:
+        raise InputError(
+            f"{name} has {array.shape[1]} numbers at each point, but an average over the "
+            "cross-section is one number: a flow, not a velocity."
+        )
+    return array
 
 
 def _chosen_branch(ids: Array, branch: int | None) -> int:
     """Return the number of the branch asked for, or of the only one."""
     branches = sorted({int(i) for i in ids if i >= 0})
-    if branch is None and len(branches) != 1:
+    if branch is None and len(branches) == 1:
+        return branches[0]
+    if branch is None or branch not in branches:
+        other = "" if branch is None else f", not {branch!r}"
         raise InputError(
-            f"it has the branches {branches}: choose one, branch= (--branch), and convert each "
-            "vessel by itself."
+            f"it has the branches {branches}{other}: choose one, branch= (--branch), and convert "
+            "each vessel by itself."
         )
-    if branch is not None and branch not in branches:
-        raise InputError(f"it has no branch {branch!r}; its branches are {branches}.")
-    return branches[0] if branch is None else branch
+    return branch
 
 
 def _times(steps: Sequence[str], time_step: float | None) -> Array:
     """Return the times of the steps, s."""
-    numbers = np.array([float(step) for step in steps])
+    times = np.array(steps, dtype=np.float64)
     by_number = all(step.isdigit() for step in steps)
-    if by_number and time_step is None:
-        raise InputError(
-            f"its arrays are named by time step, such as pressure_{steps[0]}: pass the "
-            "simulation's time step, time_step= (--time-step), in s."
-        )
-    if by_number:
-        return numbers * positive("time_step", time_step, "s")
-    if time_step is not None:
-        raise InputError(
-            f"its arrays are named by time, such as pressure_{steps[0]}: leave time_step out."
-        )
-    return numbers
+    if by_number == (time_step is None):
+        named, advice = "time", "leave time_step out"
+        if by_number:
+            named, advice = "time step", "pass the time step in s, time_step= (--time-step)"
+        raise InputError(f"its arrays are named by {named}, such as pressure_{steps[0]}: {advice}.")
+    return times * positive("time_step", time_step, "s") if by_number else times
 
 
 def _along(lines: Sequence[IntArray], chosen: _Positions) -> _Positions | None:

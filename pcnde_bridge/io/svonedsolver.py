@@ -18,9 +18,10 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.files import as_paths, reading
+from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import DataNotFoundError, InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
 from pcnde_bridge.io.vessel_results import VesselResults
 
@@ -40,15 +41,6 @@ class _Segment(NamedTuple):
         """Return the undeformed area at the nodes; the radius is linear between the ends."""
         growth = math.sqrt(self.outlet_area / self.inlet_area) - 1
         return self.inlet_area * (1 + growth * np.linspace(0.0, 1.0, self.elements + 1)) ** 2
-
-
-class _Input(NamedTuple):
-    """Input file: name of the model, segments, time between saves (s), number of saves."""
-
-    model: str
-    segments: dict[str, _Segment]
-    step: float
-    saves: int
 
 
 def read_sv1d(
@@ -90,139 +82,109 @@ def read_sv1d(
             "(--period), in s, and their last cycle is used."
         )
     wanted = [segments] if isinstance(segments, str) else segments
-    return to_cases([_read_vessel(path, wanted) for path in as_paths(paths)], **options)
+    vessels = []
+    for path in as_paths(paths):
+        with naming(path):
+            vessels.append(_read_vessel(path, wanted))
+    return to_cases(vessels, **options)
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
-    given = _read_input(path)
-    parts: dict[str, list[Array]] = {name: [] for name in (*VARIABLES, "area_undeformed", "z")}
-    start = 0.0
-    for number, segment in enumerate(_chain(path, given.segments, wanted)):
-        nodes = segment.elements + 1
-        arrays = {
-            "z": start + np.linspace(0.0, segment.length, nodes),
-            "area_undeformed": segment.area(),
-        }
-        for name in VARIABLES:
-            file = path.parent / f"{given.model}{segment.name}_{name}.dat"
-            arrays[name] = table = _read_table(file, nodes)
-            if table.shape[1] != given.saves:
-                raise FileError(
-                    f"{file} has {table.shape[1]} time steps, but its input file saves "
-                    f"{given.saves}: it is truncated, or of another run."
-                )
-        # The first node of a segment is the last one of the segment before.
-        first = 0 if number == 0 else 1
-        for name, array in arrays.items():
-            parts[name].append(array[first:])
-        start += segment.length
-    joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    fields: dict[str, Any] = {name: joined[name].T for name in VARIABLES}
-    return VesselResults(
-        str(path),
-        **fields,
-        area_undeformed=joined["area_undeformed"],
-        time=given.step * np.arange(joined["flow"].shape[1], dtype=np.float64),
-        z=joined["z"],
-    )
-
-
-def _read_input(path: Path) -> _Input:
-    """Read an input file; its keywords have any case, and commas separate as blanks do."""
-    with reading(path, "the solver's input file (.in)"):
-        # Comments have any encoding, and some editors put a mark before UTF-8.
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    model, step, saves = None, None, 0
-    segments: dict[str, _Segment] = {}
-    for number, line in enumerate(lines, start=1):
-        try:
-            match _words(line):
-                case ["MODEL", name, *_]:
-                    model = name
-                case ["SOLVEROPTIONS", time_step, every, steps, *_]:
-                    step, saves = float(time_step) * int(every), 1 + int(steps) // int(every)
-                case ["SEGMENT", name, _, *values] if len(values) >= 6:
-                    if name in segments:
-                        raise ValueError("it is repeated")
-                    segments[name] = _read_segment(name, values)
-                case ["MODEL" | "SOLVEROPTIONS" | "SEGMENT", *_]:
-                    raise ValueError("it is incomplete")
-        except (ValueError, ZeroDivisionError) as error:
-            raise FileError(
-                f"{path}, line {number}: {line[:60]!r} is not a line of svOneDSolver's input "
-                f"({error})."
-            ) from error
-    if model is None or step is None or not segments:
-        raise FileError(
-            f"{path} is not an input file of svOneDSolver: it needs the lines MODEL, SEGMENT and "
-            "SOLVEROPTIONS."
+    with reading(path, "an input file of svOneDSolver"):
+        model, known, step, saves = _read_input(path)
+    if saves < 4:
+        raise InputError(
+            f"it saves {saves} time points, and a cycle needs more: reduce the second number "
+            "of SOLVEROPTIONS, the number of steps between saves."
         )
-    found = _Input(model, segments, step, saves)
-    _check_input(path, found)
+    parts: list[dict[str, Array]] = []
+    start = 0.0
+    for segment in _chain(known, wanted):
+        shape = segment.elements + 1, saves
+        part = {
+            name: _read_table(path.with_name(f"{model}{segment.name}_{name}.dat"), shape)
+            for name in VARIABLES
+        }
+        part["area_undeformed"] = segment.area()
+        part["z"] = start + np.linspace(0.0, segment.length, shape[0])
+        # The first node of a segment is the last one of the segment before.
+        parts.append({name: array[min(len(parts), 1) :] for name, array in part.items()})
+        start += segment.length
+    joined: dict[str, Any] = {
+        name: np.concatenate([part[name] for part in parts]).T for name in parts[0]
+    }
+    return VesselResults(str(path), **joined, time=step * np.arange(float(saves)))
+
+
+def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float, int]:
+    """Return the model's name, its segments, the time between saves (s) and their number.
+
+    Keywords have any case, and commas separate as blanks do.
+    """
+    model, step, saves = "", 0.0, 0
+    segments: dict[str, _Segment] = {}
+    # Comments have any encoding, and some editors put a mark before UTF-8.
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        keyword, *values = line.partition("#")[0].replace(",", " ").split() or [""]
+        try:
+            match keyword.upper(), values:
+                case "MODEL", [name, *_]:
+                    model = name
+                case "SOLVEROPTIONS", [time_step, every, steps, *_]:
+                    step, saves = float(time_step) * int(every), 1 + int(steps) // int(every)
+                    if not step > 0:
+                        raise ValueError(f"it has steps of {step:g} s")
+                case "SEGMENT", [name, _, *sizes] if len(sizes) >= 6 and name not in segments:
+                    segments[name] = _segment(name, *sizes[:6])
+                case (("MODEL" | "SOLVEROPTIONS" | "SEGMENT"), _):
+                    raise ValueError("it is incomplete or repeated")
+        except (ValueError, ZeroDivisionError) as error:
+            raise ValueError(f"line {number}, {line[:60]!r}: {error}") from error
+    if not (model and step and segments):
+        raise ValueError("it needs the lines MODEL, SEGMENT and SOLVEROPTIONS")
+    for name in (model, *segments):
+        if Path(name).name != name or name.startswith("."):
+            raise ValueError(f"the name {name!r} leads out of the file's folder")
+    return model, segments, step, saves
+
+
+def _segment(
+    name: str, length: str, elements: str, inlet: str, outlet: str, first: str, last: str
+) -> _Segment:
+    """Return a segment from the words of its line."""
+    found = _Segment(name, float(length), int(elements), inlet, outlet, float(first), float(last))
+    if not all(size > 0 for size in (found.length, found.elements, *found[-2:])):
+        raise ValueError("its length, elements and areas must be positive")
     return found
 
 
-def _check_input(path: Path, found: _Input) -> None:
-    """Raise if the steps, the number of saves or a name cannot be used."""
-    if not found.step > 0:
-        raise FileError(f"{path}: SOLVEROPTIONS gives steps of {found.step:g} s.")
-    if found.saves < 4:
-        raise InputError(
-            f"{path} saves {found.saves} time points, and a cycle needs at least 4. Save more "
-            "often: the second number of SOLVEROPTIONS is the number of steps between saves."
-        )
-    for name in (found.model, *found.segments):
-        if Path(name).name != name or name.startswith("."):
-            raise FileError(f"{path}: the name {name!r} leads out of the file's folder.")
-
-
-def _read_segment(name: str, values: list[str]) -> _Segment:
-    """Return a segment from the words of its line; raise ValueError if one is not usable."""
-    length, elements, inlet, outlet, first, last, *_ = values
-    areas = float(first), float(last)
-    segment = _Segment(name, float(length), int(elements), inlet, outlet, *areas)
-    if segment.elements < 1 or not segment.length > 0:
-        raise ValueError("it has no length or no elements")
-    if not min(areas) > 0:
-        raise ValueError("its areas must be positive")
-    return segment
-
-
-def _words(line: str) -> list[str]:
-    """Return the words of a line without its comment, the first in capitals."""
-    words = line.partition("#")[0].replace(",", " ").split()
-    return [words[0].upper(), *words[1:]] if words else []
-
-
-def _chain(path: Path, known: dict[str, _Segment], wanted: Sequence[str] | None) -> list[_Segment]:
+def _chain(known: dict[str, _Segment], wanted: Sequence[str] | None) -> list[_Segment]:
     """Return the segments of the vessel, from the inlet on."""
     absent = [name for name in wanted or () if name not in known]
     if absent or (wanted is not None and not wanted):
-        raise InputError(f"{path} has no segments {absent}; it has {list(known)}.")
+        raise InputError(f"it has no segments {absent}; it has {list(known)}.")
     chain = [known[name] for name in wanted or known]
     for one, other in itertools.pairwise(chain):
         if one.outlet != other.inlet:
             raise InputError(
-                f"{path}: segment {other.name} does not begin where {one.name} ends, so these are "
-                f"not one vessel. Choose its segments from the inlet on, segments=[…] "
-                f"(--segments), of {list(known)}."
+                f"segment {other.name} does not begin where {one.name} ends, so these are not one "
+                "vessel. Choose its segments from the inlet on, segments=[…] (--segments), of "
+                f"{list(known)}."
             )
     return chain
 
 
-def _read_table(path: Path, nodes: int) -> Array:
+def _read_table(path: Path, shape: tuple[int, int]) -> Array:
     """Return the numbers of a result file, one row for each node."""
     if not path.is_file():
         raise DataNotFoundError(
             f"There is no file {path}: run the solver with the output TEXT, and leave its results "
             "beside its input file."
         )
-    with reading(path, "a table of numbers"):
-        rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
-        table = np.array([row for row in rows if row], dtype=np.float64)
-    if table.ndim != 2 or len(table) != nodes:
-        raise FileError(
-            f"{path} has {len(table)} rows, but the input file gives its segment {nodes} nodes: it "
-            "is truncated, or of another run."
-        )
+    what = "a table of numbers with {} nodes (rows) and {} time steps (columns)".format(*shape)
+    with reading(path, f"{what}, as the input file says"):
+        table: Array = np.loadtxt(path, ndmin=2, comments=None, encoding="ascii")
+        if table.shape != shape:
+            raise ValueError("it has {} and {}, as if of another run".format(*table.shape))
     return table

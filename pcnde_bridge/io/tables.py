@@ -12,7 +12,7 @@ import re
 import zlib
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _OLD_PANDAS else {
 _COMPRESSED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _UNREADABLE = (OSError, ValueError, EOFError, zlib.error, csv.Error)
 _LARGEST = np.iinfo(np.int64).max
+_TRUTH = {"True": True, "False": False}
 _DECIMAL = re.compile(r"-?(inf|(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d+)?)", re.ASCII)
 """Numbers as programs write them; text with further leading zeros is a name."""
 _MISSING = ("", "NA", "N/A", "#N/A", "n/a", "<NA>", "NaN", "nan", "-nan", "NULL", "null", "None")
@@ -50,6 +51,13 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
         If the file cannot be read as a table.
     """
     _check_unpacked(Path(path))
+    header = "" if "sep" in options else first_line(path)
+    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+        if mark in header and "," not in header:
+            raise FileError(
+                f"Cannot read a table from {path}. Its columns are separated by {name}: save it "
+                "with commas between the columns and points in the numbers."
+            )
     try:
         # Blanks after commas belong neither to names nor to values.
         frame: pd.DataFrame = pd.read_csv(path, skipinitialspace=True, **_EXACT, **options)
@@ -57,13 +65,7 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
         advice = "it is not UTF-8 text: save it as CSV in UTF-8"
         raise FileError(f"Cannot read a table from {path}: {advice} ({error}).") from error
     except _UNREADABLE as error:
-        header = ""
-        if Path(path).is_file():
-            with contextlib.suppress(*_UNREADABLE):
-                header = ",".join(pd.read_csv(path, nrows=0).columns)
-        raise FileError(f"Cannot read a table from {path}: {error}.{_separated(header)}") from error
-    if frame.shape[1] == 1 and (advice := _separated(str(frame.columns[0]))):
-        raise FileError(f"Cannot read a table from {path}.{advice}")
+        raise FileError(f"Cannot read a table from {path}: {error}.") from error
     return frame
 
 
@@ -77,14 +79,30 @@ def _check_unpacked(path: Path) -> None:
             budget.claim(len(block))
 
 
-def _separated(header: str) -> str:
-    """Return advice on columns that are separated by something else than commas."""
-    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-        if mark in header and "," not in header:
-            return (
-                f" Its columns are separated by {name}: save it with commas between the columns "
-                "and points in the numbers."
-            )
+def _opened(path: Path) -> TextIO:
+    text: TextIO = _COMPRESSED.get(path.suffix, open)(
+        path, "rt", encoding="utf-8-sig", errors="replace"
+    )
+    return text
+
+
+def first_line(path: StrPath) -> str:
+    """Return the first line of a table that is neither blank nor a comment.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, which may be compressed.
+
+    Returns
+    -------
+    str
+        The line; empty if there is none, or if the file is a pipe, which is read only once.
+    """
+    if Path(path).is_file():
+        with contextlib.suppress(*_UNREADABLE), _opened(Path(path)) as text:
+            head = text.read(1 << 20).splitlines()  # a damaged file may be a single line
+            return next((line for line in head if line.strip() and line[0] != "#"), "")
     return ""
 
 
@@ -125,11 +143,9 @@ def line_of(path: StrPath, row: int) -> int:
     int
         Number of the line, counting blank lines, which are no rows.
     """
-    name = Path(path)
-    if not name.is_file():  # a pipe cannot be read again
+    if not Path(path).is_file():  # a pipe cannot be read again
         return row + 2
-    opened = gzip.open if name.suffix == ".gz" else open
-    with opened(name, "rt", encoding="utf-8", errors="replace") as text:
+    with _opened(Path(path)) as text:
         filled = (number for number, line in enumerate(text, start=1) if line.strip())
         return next(itertools.islice(filled, row + 1, None), row + 2)
 
@@ -185,22 +201,15 @@ def read_labeled(
 
 def _label_values(texts: Collection[str]) -> dict[str, Any]:
     """Return the value of each text of a label: numbers for all of them, or the texts."""
-    values = {text: _parsed(text) for text in texts}
-    kinds = {type(value) for value in values.values()}
-    # Different texts must be different numbers: 1 and 1.0 are not.
-    exact = kinds <= {bool} or (kinds <= {int, float} and len(set(values.values())) == len(texts))
-    return values if exact else {text: text for text in texts}
-
-
-def _parsed(text: str) -> bool | int | float | None:
-    """Return the number or truth value that a text stands for, or None."""
-    if text in ("True", "False"):
-        return text == "True"
-    if not _DECIMAL.fullmatch(text):
-        return None
-    if text.lstrip("-").isdecimal():
-        return int(text) if abs(int(text)) <= _LARGEST else None
-    return float(text)
+    if all(text in _TRUTH for text in texts):
+        return _TRUTH
+    if all(map(_DECIMAL.fullmatch, texts)):
+        values = {text: int(text) if text.strip("-").isdigit() else float(text) for text in texts}
+        fits = all(isinstance(value, float) or abs(value) <= _LARGEST for value in values.values())
+        # Different texts must be different numbers: 1 and 1.0 are not.
+        if fits and len(set(values.values())) == len(texts):
+            return values
+    return {text: text for text in texts}
 
 
 def read_labels(path: StrPath, files: Sequence[StrPath]) -> pd.DataFrame:
@@ -231,8 +240,8 @@ def read_labels(path: StrPath, files: Sequence[StrPath]) -> pd.DataFrame:
         raise InputError(f"{path} lacks the column 'file'; it has {list(table.columns)}.")
     rows = []
     for file in files:
-        found = np.flatnonzero(table["file"].map(str).isin([str(file), Path(file).name]))
+        found = table.index[table["file"].map(str).isin([str(file), Path(file).name])]
         if found.size != 1:
             raise InputError(f"{path} has {found.size} rows for {file}; it needs one.")
-        rows.append(int(found[0]))
-    return table.iloc[rows].drop(columns="file").reset_index(drop=True)
+        rows += found.tolist()
+    return table.loc[rows].drop(columns="file").reset_index(drop=True)

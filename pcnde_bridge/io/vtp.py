@@ -13,7 +13,7 @@ import re
 import warnings
 import zlib
 from collections.abc import Callable, Mapping
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -25,15 +25,11 @@ from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.files import Budget, reading
 from pcnde_bridge.errors import FileError
 
-_TYPES = {
-    "Float32": "f4",
-    "Float64": "f8",
-    **{f"Int{bits}": f"i{bits // 8}" for bits in (8, 16, 32, 64)},
-    **{f"UInt{bits}": f"u{bits // 8}" for bits in (8, 16, 32, 64)},
-}
-"""Names of numpy's types by those of VTK."""
+_INTEGERS = (f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
+_TYPES = {name: np.dtype(name.lower()) for name in ("Float32", "Float64", *_INTEGERS)}
+"""Types of numbers by their names in VTK."""
 
-_DECOMPRESSORS: Mapping[str, Callable[[], Any]] = {
+_DECOMPRESSORS: Mapping[str | None, Callable[[], Any]] = {
     "vtkZLibDataCompressor": zlib.decompressobj,
     "vtkLZMADataCompressor": lzma.LZMADecompressor,
 }
@@ -82,12 +78,13 @@ def read_lines(path: Path) -> Lines:
                 f"{path} is not a .vtp file (VTK XML PolyData). Export the centerline as .vtp."
             )
         head, tag, appended = content.partition(b"<AppendedData")
-        if b"<!DOCTYPE" in head or b"<!ENTITY" in head:
+        # In UTF-16, which has zero bytes, entities could hide.
+        if any(word in head for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")):
             raise FileError(
-                f"{path} defines XML entities, which no .vtp file needs; it is not read."
+                f"{path} defines XML entities, which no .vtp file needs, or is not UTF-8 text; it "
+                "is not read."
             )
         # Raw appended data are not XML; the part before them is, once it is closed.
-        # In an encoding of its own choice, a file could hide its entities.
         parser = ElementTree.XMLParser(encoding="utf-8")
         root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head, parser)
         return _lines(root, _Decoder(root.attrib, appended, Budget(len(content))))
@@ -95,43 +92,38 @@ def read_lines(path: Path) -> Lines:
 
 def _lines(root: ElementTree.Element, decode: _Decoder) -> Lines:
     """Return the content of the only piece of a file."""
-    pieces = root.findall("PolyData/Piece")
-    if len(pieces) != 1:
-        raise ValueError(f"it has {len(pieces)} pieces, not one")
-    piece = pieces[0]
+    (piece,) = root.findall("PolyData/Piece")
     n = int(piece.attrib["NumberOfPoints"])
+    if n < 3:
+        raise ValueError(f"it has {n} points")
     arrays: dict[str, Array] = {}
     for item in piece.findall("PointData/DataArray"):
         name = item.attrib["Name"]
         if item.attrib["type"] in _TYPES and name not in arrays:
-            arrays[name] = _shaped(name, decode(item), item.attrib, n)
+            arrays[name] = _shaped(decode(item), item.attrib, n)
     (item,) = piece.findall("Points/DataArray")
-    points = _shaped("Points", decode(item), {"NumberOfComponents": "3"}, n)
-    if n < 3:
-        raise ValueError(f"it has {n} points")
-    cells = {item.attrib["Name"]: decode(item) for item in piece.findall("Lines/DataArray")}
-    if int(piece.attrib.get("NumberOfLines", 0)) == 0:
-        cells = {"connectivity": np.empty(0), "offsets": np.empty(0)}
-    ends = cells["connectivity"].astype(np.int64)
-    offsets = [0, *cells["offsets"].astype(np.int64).tolist()]
+    points = _shaped(decode(item), {"Name": "Points", "NumberOfComponents": "3"}, n)
+    ends, offsets = np.empty(0, dtype=np.int64), [0]
+    if int(piece.attrib.get("NumberOfLines", 0)):
+        cells = {item.attrib["Name"]: decode(item) for item in piece.findall("Lines/DataArray")}
+        ends = cells["connectivity"].astype(np.int64)
+        offsets += cells["offsets"].astype(np.int64).tolist()
     lines = [ends[a:b] for a, b in pairwise(offsets) if 0 <= a < b <= ends.size]
     return Lines(points, lines, arrays, _facts(root, decode))
 
 
-def _shaped(name: str, values: npt.NDArray[Any], attributes: Mapping[str, str], n: int) -> Array:
+def _shaped(values: npt.NDArray[Any], attributes: Mapping[str, str], n: int) -> Array:
     """Return values as one row, or one number, for each of n points."""
     components = int(attributes.get("NumberOfComponents", 1))
     if components < 1 or values.size != n * components:
-        raise ValueError(f"{name} has {values.size} values for {n} points")
-    shape = (n,) if components == 1 else (n, components)
-    return values.astype(np.float64).reshape(shape)
+        raise ValueError(f"{attributes['Name']} has {values.size} values for {n} points")
+    return values.astype(np.float64).reshape((n,) if components == 1 else (n, components))
 
 
 def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
     """Return the field data that are single numbers or texts."""
     facts: dict[str, Any] = {}
-    fields = "PolyData/FieldData"
-    for item in (*root.findall(f"{fields}/DataArray"), *root.findall(f"{fields}/Array")):
+    for item in root.iterfind("PolyData/FieldData/*"):
         name, kind = item.attrib.get("Name"), item.attrib.get("type")
         if name is None or kind not in (*_TYPES, "String"):
             continue
@@ -150,8 +142,8 @@ class _Decoder:
 
     def __init__(self, attributes: Mapping[str, str], appended: bytes, budget: Budget) -> None:
         orders = {"LittleEndian": "<", "BigEndian": ">"}
-        self._order = orders[attributes.get("byte_order", "LittleEndian")]
-        self._header = np.dtype(self._order + _TYPES[attributes.get("header_type", "UInt32")])
+        self._order: Any = orders[attributes.get("byte_order", "LittleEndian")]
+        self._header = self._type(attributes.get("header_type", "UInt32"))
         self._compressor = attributes.get("compressor")
         self._budget = budget
         tag, _, data = appended.partition(b">")
@@ -162,23 +154,22 @@ class _Decoder:
 
     def __call__(self, item: ElementTree.Element) -> npt.NDArray[Any]:
         """Return the numbers of a DataArray in one row."""
-        kind = item.attrib["type"]
-        dtype = np.dtype(self._order + ("u1" if kind == "String" else _TYPES[kind]))
-        form, text = item.attrib["format"], item.text or ""
-        if form == "ascii":
-            return self._spelled(text, np.float64 if dtype.kind == "f" else np.int64)
-        if form == "binary":
-            data = self._bytes(re.sub(r"\s", "", text).encode("ascii"), True)
-        elif form == "appended":
-            offset = int(item.attrib["offset"])
-            if not 0 <= offset <= len(self._appended):
-                raise ValueError(f"{item.attrib['Name']} is outside the file")
-            data = self._bytes(self._appended[offset:], self._encoded)
-        else:
-            raise ValueError(f"unknown format {form!r}")
+        dtype, text = self._type(item.attrib["type"]), item.text or ""
+        match item.attrib["format"]:
+            case "ascii":
+                return self._spelled(text, np.float64 if dtype.kind == "f" else np.int64)
+            case "binary":
+                data = self._bytes(re.sub(r"\s", "", text).encode("ascii"), 0, True)
+            case "appended":
+                data = self._bytes(self._appended, int(item.attrib["offset"]), self._encoded)
+            case form:
+                raise ValueError(f"unknown format {form!r}")
         # Numbers become 8 bytes each; the bytes that they have are in the file or claimed.
         self._budget.claim(len(data) // dtype.itemsize * 8 - len(data))
         return np.frombuffer(data, dtype)
+
+    def _type(self, name: str) -> np.dtype[Any]:
+        return _TYPES["UInt8" if name == "String" else name].newbyteorder(self._order)
 
     def _spelled(self, text: str, dtype: type) -> npt.NDArray[Any]:
         """Read numbers of a text, without a string for each of them."""
@@ -187,50 +178,48 @@ class _Decoder:
             warnings.simplefilter("error")  # older versions of numpy warn of other text
             return np.fromstring(text, dtype, sep=" ")
 
-    def _bytes(self, source: bytes, encoded: bool) -> bytes:
-        """Decode one array: its header of sizes, and the data."""
+    def _bytes(self, source: bytes, start: int, encoded: bool) -> bytes:
+        """Decode the array that starts at a position: its header of sizes, and the data."""
         width = self._header.itemsize
-        first = int(self._numbers(_part(source, 0, width, encoded)[0])[0])
+        [first] = self._sizes(_part(source, start, width, encoded)[0])
         if self._compressor is None:
-            data, _ = _part(source, 0, width + first, encoded)
-            return data[width:]
+            return _part(source, start, width + first, encoded)[0][width:]
         # The header is a stream of its own: blocks, their size, that of the last, packed sizes.
-        header, position = _part(source, 0, width * (3 + first), encoded)
-        _, size, last, *packed = self._numbers(header).tolist()
+        header, end = _part(source, start, width * (3 + first), encoded)
+        _, size, last, *packed = self._sizes(header)
         sizes = [size] * len(packed)
         if packed and last:
             sizes[-1] = last
         self._budget.claim(sum(sizes))
-        blocks, _ = _part(source, position, sum(packed), encoded)
-        ends = np.cumsum([0, *packed], dtype=np.int64).tolist()
+        blocks, _ = _part(source, end, sum(packed), encoded)
+        places = pairwise(accumulate(packed, initial=0))
         return b"".join(
-            self._unpacked(blocks[start:end], size)
-            for (start, end), size in zip(pairwise(ends), sizes, strict=True)
+            self._unpacked(blocks[a:b], size) for (a, b), size in zip(places, sizes, strict=True)
         )
+
+    def _sizes(self, header: bytes) -> list[int]:
+        sizes: list[int] = np.frombuffer(header, self._header).tolist()
+        return sizes
 
     def _unpacked(self, block: bytes, size: int) -> bytes:
         """Decompress a block to its size, and no further."""
-        decompressor = _DECOMPRESSORS.get(str(self._compressor))
-        if decompressor is None:
+        if self._compressor not in _DECOMPRESSORS:
             raise ValueError(f"its compressor {self._compressor} is unknown: save it with zlib")
-        stream = decompressor()
+        stream = _DECOMPRESSORS[self._compressor]()
         # One byte more than expected takes the stream to its end, where its checksum is.
         data: bytes = stream.decompress(block, size + 1)
         if len(data) != size or not stream.eof or stream.unused_data:
             raise ValueError("a compressed block is damaged: its size or its checksum is wrong")
         return data
 
-    def _numbers(self, header: bytes) -> npt.NDArray[Any]:
-        return np.frombuffer(header, self._header)
 
-
-def _part(source: bytes, position: int, length: int, encoded: bool) -> tuple[bytes, int]:
+def _part(source: bytes, start: int, length: int, encoded: bool) -> tuple[bytes, int]:
     """Return a number of bytes from a position of the source, and the position after them."""
-    end = position + (4 * -(-length // 3) if encoded else length)
-    if length < 0 or end > len(source):
+    end = start + (4 * -(-length // 3) if encoded else length)
+    if not 0 <= start <= end <= len(source):
         raise ValueError("it ends too early")
-    part = source[position:end]
-    data = base64.b64decode(part, validate=True) if encoded else part
+    part = source[start:end]
+    data = base64.b64decode(part, validate=True)[:length] if encoded else part
     if len(data) < length:
         raise ValueError("it ends too early")
-    return data[:length], end
+    return data, end

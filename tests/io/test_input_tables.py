@@ -116,12 +116,12 @@ def test_tables_of_another_kind_are_told_what_to_do(tmp_path, text, error, messa
     path = tmp_path / "q.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(error, match=message):
-        read_columns(path, "time", GRID.time, "s")
+        read_columns(path, "time", GRID.time)
 
 
 def test_blanks_after_commas_belong_to_nothing(tmp_path):
     (tmp_path / "q.csv").write_text("time, a, b\n0, 1, 2\n0.25, 1, 2\n0.5, 1, 2\n0.75, 1, 2\n")
-    found = read_columns(tmp_path / "q.csv", "time", GRID.time, "s").to_numpy().T
+    found = read_columns(tmp_path / "q.csv", "time", GRID.time).to_numpy().T
     assert np.array_equal(found, [[1] * 4, [2] * 4])
 
 
@@ -133,7 +133,7 @@ def read(tmp_path):
     def read(text, expected=TIME, axis="time"):
         path = tmp_path / "table.csv"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        return read_columns(path, axis, expected, "s").to_numpy().T
+        return read_columns(path, axis, expected).to_numpy().T
 
     return read
 
@@ -193,7 +193,7 @@ def test_no_table(read, content):
 def test_no_file(tmp_path):
     for path in (tmp_path / "nowhere.csv", tmp_path):
         with pytest.raises(FileError, match="Cannot read a table from"):
-            read_columns(path, "time", TIME, "s")
+            read_columns(path, "time", TIME)
 
 
 def test_a_cycle_begins_where_the_models_does_and_has_no_end_point(tmp_path):

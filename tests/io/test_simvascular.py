@@ -44,7 +44,7 @@ def test_one_branch_of_several(vessel, tmp_path):
     path = centerline(tmp_path / "a.vtp", vessel, branches=branches)
     with pytest.raises(InputError, match=r"has the branches \[0, 1\]: choose one.*--branch"):
         read_simvascular(path)
-    with pytest.raises(InputError, match=r"no branch 2; its branches are \[0, 1\]"):
+    with pytest.raises(InputError, match=r"has the branches \[0, 1\], not 2: choose one"):
         read_simvascular(path, branch=2)
     found = read_simvascular(path, branch=1)
     assert found.n_points == 11
