@@ -12,9 +12,10 @@ Units are CGS; arrays are (case, time, z).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from math import ceil, comb
-from typing import Protocol, Self, TypeAlias, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -22,12 +23,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
-from pcnde_bridge.data.indices import (
-    healthy_area,
-    measuring_positions,
-    pressure_drop,
-    throats,
-)
+from pcnde_bridge.data.indices import healthy_area, measuring_positions, pressure_drop, throats
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
@@ -37,6 +33,7 @@ from pcnde_bridge.hemodynamics.tube_laws import PAPER_REFERENCE_PRESSURE, Linear
 
 _Fitted = TypeVar("_Fitted")
 
+_ARTERY = LinearWall()
 FEM_WALL = LinearWall(0.75 * 1.5e7, reference_pressure=PAPER_REFERENCE_PRESSURE)
 """Wall of the paper's column "1D FEM", as far as it can be inferred.
 
@@ -46,8 +43,7 @@ in its place, which is three quarters of Young's modulus, the 1D solver here giv
 prints it, 0.0351, 0.0502 and 0.0607.
 """
 
-
-Loss: TypeAlias = Callable[[Array, Array, Array, Array, float], Array]
+Loss = Callable[[Array, Array, Array, Array, float], Array]
 """Pressure drop, dyn/cm², from Q, ∂Q/∂t, S_D, S_s and L_s."""
 
 
@@ -83,8 +79,7 @@ class Baseline(Protocol):
 class _WithOutlet:
     """Baseline whose only fitted parameter is the resistance of the outlet."""
 
-    def __init__(self) -> None:
-        self._resistance: float | None = None
+    _resistance: float | None = None
 
     def fit(self, train: Cases) -> Self:
         """Fit the resistance by least squares on the outlets; see :class:`Baseline`."""
@@ -106,12 +101,13 @@ class Unchanged(_WithOutlet):
         return {"flow": flow, "area": area, "pressure": resistance * flow}
 
 
+@dataclass(eq=False)
 class Solver1D(_WithOutlet):
     """One-dimensional solver with a resistance outlet that is fitted on the training cases.
 
     Parameters
     ----------
-    wall : LinearWall, optional
+    wall : LinearWall
         Tube law.  By default the paper's artery, undeformed at zero pressure, as in the
         data.  ``LinearWall(reference_pressure=PAPER_REFERENCE_PRESSURE)`` is the law as
         the paper prints it, :data:`FEM_WALL` that of its column "1D FEM".
@@ -121,10 +117,8 @@ class Solver1D(_WithOutlet):
         :meth:`~pcnde_bridge.hemodynamics.solver.Tube1D.solve_like`.
     """
 
-    def __init__(self, wall: LinearWall | None = None, stenosis_length: float = 0.5) -> None:
-        super().__init__()
-        self._wall = LinearWall() if wall is None else wall
-        self._stenosis_length = stenosis_length
+    wall: LinearWall = _ARTERY
+    stenosis_length: float = 0.5
 
     def predict(self, cases: Cases) -> dict[str, Array]:
         """Solve all cases in one batch; see :class:`Baseline`.
@@ -140,11 +134,17 @@ class Solver1D(_WithOutlet):
         outlet = Windkessel(_fitted(self._resistance))
         # As many steps per cycle as the solver's default, a multiple of the time points.
         steps = cases.n_times * max(5, ceil(Tube1D.steps / cases.n_times))
-        tube = Tube1D(wall=self._wall, n_times=cases.n_times, steps=steps)
-        solved = tube.solve_like(cases, outlet, stenosis_length=self._stenosis_length)
+        tube = Tube1D(wall=self.wall, n_times=cases.n_times, steps=steps)
+        solved = tube.solve_like(cases, outlet, stenosis_length=self.stenosis_length)
         return {name: getattr(solved, name) for name in VARIABLES}
 
 
+def seeley_young(flow: Array, rate: Array, healthy: Array, throat: Array, length: float) -> Array:
+    """Return the drop of Seeley and Young (1976) as the paper prints it; see :data:`Loss`."""
+    return np.asarray(pressure_losses.pressure_drop(flow, healthy, throat, length))
+
+
+@dataclass(eq=False)
 class StenosisLoss(Unchanged):
     """No change along the vessel but a pressure loss across its narrowest stenosis.
 
@@ -161,24 +161,18 @@ class StenosisLoss(Unchanged):
         Length L_s of the stenosis, cm.
     """
 
-    def __init__(self, loss: Loss | None = None, stenosis_length: float = 0.5) -> None:
-        super().__init__()
-        self._loss = seeley_young if loss is None else loss
-        self._stenosis_length = stenosis_length
+    loss: Loss = seeley_young
+    stenosis_length: float = 0.5
 
     def predict(self, cases: Cases) -> dict[str, Array]:
         """Predict the inflow, the undeformed area and the loss; see :class:`Baseline`."""
         found = super().predict(cases)
         flow, rate = cases.inflow, _rate(cases.inflow, cases.period)
-        drop = self._loss(flow, rate, *_areas(cases), self._stenosis_length)
+        drop = self.loss(flow, rate, *_areas(cases), self.stenosis_length)
         return found | {"pressure": found["pressure"] + _upstream(drop, cases)}
 
 
-def seeley_young(flow: Array, rate: Array, healthy: Array, throat: Array, length: float) -> Array:
-    """Return the drop of Seeley and Young (1976) as the paper prints it; see :data:`Loss`."""
-    return np.asarray(pressure_losses.pressure_drop(flow, healthy, throat, length))
-
-
+@dataclass(eq=False)
 class ResponseSurface:
     """Polynomial for each value on the grid, in principal components of the inputs.
 
@@ -202,22 +196,18 @@ class ResponseSurface:
         If a number is negative.
     """
 
-    def __init__(
-        self,
-        waveform_degree: int = 3,
-        geometry_degree: int = 3,
-        waveform_components: int | None = None,
-        geometry_components: int | None = None,
-    ) -> None:
-        whole("waveform_degree", waveform_degree)
-        whole("geometry_degree", geometry_degree)
-        whole("waveform_components", waveform_components or 0)
-        whole("geometry_components", geometry_components or 0)
-        self._waveform = waveform_degree, waveform_components
-        self._geometry = geometry_degree, geometry_components
-        self._axes: tuple[_Axis, _Axis] | None = None
-        self._grid: Grid | None = None
-        self._coefficients: dict[str, Array] = {}
+    waveform_degree: int = 3
+    geometry_degree: int = 3
+    waveform_components: int | None = None
+    geometry_components: int | None = None
+    _axes: tuple[_Axis, _Axis] | None = field(default=None, init=False, repr=False)
+    _grid: Grid | None = field(default=None, init=False, repr=False)
+    _coefficients: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for axis in ("waveform", "geometry"):
+            whole(f"{axis}_degree", getattr(self, f"{axis}_degree"))
+            whole(f"{axis}_components", getattr(self, f"{axis}_components") or 0)
 
     def fit(self, train: Cases) -> ResponseSurface:
         """Fit all coefficients; see :class:`Baseline`.
@@ -228,22 +218,24 @@ class ResponseSurface:
             If there are fewer cases than coefficients, or too few different waveforms or
             geometries for the degree.
         """
-        inputs = (train.inflow, train.area_undeformed)
-        axes = _Axis(inputs[0], *self._waveform), _Axis(inputs[1], *self._geometry)
+        axes = (
+            _Axis("inflow", train, self.waveform_degree, self.waveform_components),
+            _Axis("area_undeformed", train, self.geometry_degree, self.geometry_components),
+        )
         n_terms = axes[0].n_terms * axes[1].n_terms
         if n_terms > len(train):
             raise InputError(
                 f"The response surface has {n_terms} coefficients for each value, but there are "
                 f"{len(train)} training cases; use smaller degrees or fewer components."
             )
-        for axis, values, name in zip(axes, inputs, ("waveforms", "geometries"), strict=True):
-            if np.linalg.matrix_rank(axis.features(values)) < axis.n_terms:
-                count = len(np.unique(values, axis=0))
+        for axis, name in zip(axes, ("waveforms", "geometries"), strict=True):
+            if np.linalg.matrix_rank(axis.features(train)) < axis.n_terms:
+                count = len(np.unique(getattr(train, axis.name), axis=0))
                 raise InputError(
                     f"The training cases have {count} different {name}, too few for "
                     f"{axis.n_terms} terms in them; use a smaller degree or fewer components."
                 )
-        features = _products(axes, inputs)
+        features = _products(axes, train)
         if np.linalg.matrix_rank(features) < n_terms:
             raise InputError(
                 "The training cases combine too few waveforms with too few geometries for a "
@@ -266,13 +258,14 @@ class ResponseSurface:
         """
         axes = _fitted(self._axes)
         check_grid(_fitted(self._grid), cases.grid, "train")
-        features = _products(axes, (cases.inflow, cases.area_undeformed))
+        features = _products(axes, cases)
         return {
             name: np.tensordot(features, values, axes=1)
             for name, values in self._coefficients.items()
         }
 
 
+@dataclass(eq=False)
 class DropRegression:
     """Quasi-steady pressure drop across the stenosis, fitted on the training cases.
 
@@ -296,10 +289,12 @@ class DropRegression:
         If the degree is not a whole number of 0 or more.
     """
 
-    def __init__(self, degree: int = 3, base: Baseline | None = None) -> None:
-        self._degree = whole("degree", degree)
-        self._base = ResponseSurface() if base is None else base
-        self._coefficients: Array | None = None
+    degree: int = 3
+    base: Baseline = field(default_factory=ResponseSurface)
+    _coefficients: Array | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        whole("degree", self.degree)
 
     def fit(self, train: Cases) -> DropRegression:
         """Fit the other baseline and the coefficients of the drop; see :class:`Baseline`.
@@ -309,7 +304,7 @@ class DropRegression:
         InputError
             If the training cases have too few different geometries or waveforms.
         """
-        self._base.fit(train)
+        self.base.fit(train)
         features = self._features(train.flow, train)
         rows = features.reshape(-1, features.shape[-1])
         size = np.maximum(np.abs(rows).max(axis=0), np.finfo(float).tiny)
@@ -325,7 +320,7 @@ class DropRegression:
     def predict(self, cases: Cases) -> dict[str, Array]:
         """Predict with the other baseline, then correct the drop; see :class:`Baseline`."""
         coefficients = _fitted(self._coefficients)
-        found = self._base.predict(cases)
+        found = self.base.predict(cases)
         ends = measuring_positions(cases.z, cases.area_undeformed)
         missing = self._features(found["flow"], cases) @ coefficients
         missing -= pressure_drop(found["pressure"], cases.z, *ends)
@@ -338,7 +333,7 @@ class DropRegression:
         healthy, throat = _areas(cases)
         rate = _rate(flow, cases.period)
         terms = np.stack([flow, flow * abs(flow) ** 0.5, flow * abs(flow), rate], axis=-1)
-        powers = (healthy / throat)[..., None, None] ** np.arange(self._degree + 1)
+        powers = (healthy / throat)[..., None, None] ** np.arange(self.degree + 1)
         return (terms[..., None] * powers).reshape(*flow.shape, -1)
 
 
@@ -366,7 +361,8 @@ def _upstream(drop: Array, cases: Cases) -> Array:
 class _Axis:
     """Principal components of one input, and polynomial terms in their scores."""
 
-    def __init__(self, values: Array, degree: int, components: int | None) -> None:
+    def __init__(self, name: str, train: Cases, degree: int, components: int | None) -> None:
+        self.name, values = name, getattr(train, name)
         self._mean = values.mean(axis=0)
         _, sizes, directions = np.linalg.svd(values - self._mean, full_matrices=False)
         # Differences within round-off do not count.
@@ -381,9 +377,9 @@ class _Axis:
         self._degree = degree
         self.n_terms = comb(len(self._directions) + degree, degree)
 
-    def features(self, values: Array) -> Array:
+    def features(self, cases: Cases) -> Array:
         """Return all monomials of the scores up to the total degree, (case, n_terms)."""
-        scores = (values - self._mean) @ self._directions.T / self._size
+        scores = (getattr(cases, self.name) - self._mean) @ self._directions.T / self._size
         columns = [
             np.prod(scores[:, list(which)], axis=1)
             for degree in range(self._degree + 1)
@@ -392,9 +388,9 @@ class _Axis:
         return np.stack(columns, axis=1)
 
 
-def _products(axes: tuple[_Axis, _Axis], inputs: tuple[Array, Array]) -> Array:
+def _products(axes: tuple[_Axis, _Axis], cases: Cases) -> Array:
     """Return each term of one axis times each term of the other, (case, terms)."""
-    first, second = (axis.features(values) for axis, values in zip(axes, inputs, strict=True))
+    first, second = (axis.features(cases) for axis in axes)
     return (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
 
 

@@ -89,10 +89,7 @@ def bench_model(model: PCNDE, sets: Mapping[str, Cases]) -> Row:
         If the grid of the cases is not that of the model.
     """
     errors, taken = _measure(lambda cases: predict(model, cases).variables(), sets)
-    seconds = model.provenance.get("seconds")
-    return Row(
-        f"PCNDE ({model.engine.name})", errors, None if seconds is None else float(seconds), taken
-    )
+    return Row(f"PCNDE ({model.engine.name})", errors, model.provenance.get("seconds"), taken)
 
 
 def bench_baseline(name: str, baseline: Baseline, sets: Mapping[str, Cases]) -> Row:

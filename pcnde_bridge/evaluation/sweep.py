@@ -14,6 +14,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
+from pcnde_bridge.model.inputs import check_cases
 from pcnde_bridge.model.kinds import kind_of
 
 
@@ -61,14 +62,13 @@ def sweep(
     >>> wider = PRESETS["fast"].replace(flow={"hidden": [16, 16]})
     >>> sweep(train, test, {"fast": "fast", "wider": wider}, seeds=range(3))  # doctest: +SKIP
     """
-    for name, cases in (("train", train), ("held_out", held_out)):
-        if not isinstance(cases, Cases) and not (name == "held_out" and cases is None):
-            raise InputError(f"sweep needs Cases as {name}, got {type(cases).__name__}.")
+    check_cases("train", train)
     if not isinstance(configs, Mapping) or not configs:
         raise InputError("sweep needs a mapping of names to configurations: at least one.")
     seeds = whole_seeds(seeds)
     settings = {name: resolve_config(config) for name, config in configs.items()}
     if held_out is not None:
+        check_cases("held_out", held_out)
         for config in settings.values():
             kind_of(config).check_grid(train.grid, held_out.grid, "train")
     engine = same_everywhere(engine)

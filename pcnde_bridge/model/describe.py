@@ -6,23 +6,26 @@ import contextlib
 from collections.abc import Mapping
 from typing import Any
 
+import pandas as pd
+
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, with_prefix
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.config import PRESETS, Config, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import FileError, PCNDEError
-from pcnde_bridge.model.ensemble import ENSEMBLE_FORMAT, ENSEMBLE_VERSION
+from pcnde_bridge.model.ensemble import ENSEMBLE_FORMAT, ENSEMBLE_VERSION, MEMBER_PREFIX
 from pcnde_bridge.model.pcnde import MODEL_FORMAT, MODEL_VERSION
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.staged_training import StagedTraining
 
-_FORMATS = {
+_CHECKPOINTS = (StagedTraining.checkpoint_format, ClosureTraining.checkpoint_format)
+_KINDS = {
     MODEL_FORMAT: (MODEL_VERSION, "model"),
     ENSEMBLE_FORMAT: (ENSEMBLE_VERSION, "ensemble"),
+    **{name: (version, "checkpoint") for name, version in _CHECKPOINTS},
 }
-for _format, _version in (StagedTraining.checkpoint_format, ClosureTraining.checkpoint_format):
-    _FORMATS[_format] = (_version, "checkpoint")
+_FACTS = ("seed", "engine", "trained", "seconds", "platform", "command", "source")
 
 
 def describe(path: StrPath) -> dict[str, Any]:
@@ -47,13 +50,13 @@ def describe(path: StrPath) -> dict[str, Any]:
         If the file is none of these, or damaged.
     """
     file_format = archive_kind(path)
-    if file_format not in _FORMATS:
+    if file_format not in _KINDS:
         with contextlib.suppress(PCNDEError):
             return _data_set(Cases.load(path))
         # The reader reports whether the file is missing, damaged or something else.
         read_archive(path, MODEL_FORMAT, MODEL_VERSION, "model")
         raise FileError(f"{path} is not a file of pcnde_bridge.")
-    version, kind = _FORMATS[file_format]
+    version, kind = _KINDS[file_format]
     facts, arrays = read_archive(path, file_format, version, kind)
     with interpreting(path, kind):
         return {"kind": kind, **_trained(kind, facts, arrays)}
@@ -64,7 +67,7 @@ def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -
     found: dict[str, Any] = {}
     settings = facts
     if kind == "ensemble":
-        settings, arrays = facts["members"][0], with_prefix("member_0_", arrays)
+        settings, arrays = facts["members"][0], with_prefix(MEMBER_PREFIX.format(0), arrays)
         found["members"] = len(facts["members"])
         found["uncertainty"] = "calibrated spread of the members"
     elif "uncertainty_members" in arrays:
@@ -75,10 +78,8 @@ def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -
     found["provenance"] = dict(facts.get("provenance", {}))
     if kind == "checkpoint":
         vectors = len(facts.get("vectors", ()))
-        found |= {"finished": facts.get("finished", vectors), "steps": facts.get("units")}
-    else:
-        found["grid"] = _grid(arrays["time"], arrays["z"], arrays["period"])
-    return found
+        return found | {"finished": facts.get("finished", vectors), "steps": facts.get("units")}
+    return found | {"grid": _grid(arrays["time"], arrays["z"], arrays["period"])}
 
 
 def _grid(time: Array, z: Array, period: Array | float) -> dict[str, Any]:
@@ -87,14 +88,13 @@ def _grid(time: Array, z: Array, period: Array | float) -> dict[str, Any]:
 
 
 def _data_set(cases: Cases) -> dict[str, Any]:
+    labels = cases.labels.items()
     return {
         "kind": "data set",
         "grid": _grid(cases.time, cases.z, cases.period),
         "cases": len(cases),
         "fingerprint": cases.fingerprint(),
-        "labels": {
-            str(name): column.drop_duplicates().tolist() for name, column in cases.labels.items()
-        },
+        "labels": {str(name): column.drop_duplicates().tolist() for name, column in labels},
     }
 
 
@@ -142,24 +142,18 @@ def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         grid = found["grid"]
         text = f"{grid['time_points']} time points in {grid['period']:g} s, {grid['points']} points"
         rows.append(("grid", f"{text}, z = {grid['z'][0]:g} … {grid['z'][1]:g} cm"))
-    if "labels" in found:
-        rows.append(("cases", f"{found['cases']}, fingerprint {found['fingerprint'][:16]}…"))
-        return [*rows, *((name, listed(values)) for name, values in found["labels"].items())]
-    return [*rows, ("uncertainty", found.get("uncertainty", "none")), *_history_of_fit(found)]
-
-
-def _history_of_fit(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows of the provenance."""
-    facts, rows = found["provenance"], []
+    if "provenance" in found:
+        rows.append(("uncertainty", found.get("uncertainty", "none")))
+    facts = found.get("provenance", found)
     if "cases" in facts:
-        rows.append(("cases", f"{facts['cases']}, fingerprint {facts['cases_fingerprint'][:16]}…"))
+        fingerprint = facts.get("cases_fingerprint", found.get("fingerprint"))
+        rows.append(("cases", f"{facts['cases']}, fingerprint {fingerprint[:16]}…"))
+    rows += [(name, listed(values)) for name, values in found.get("labels", {}).items()]
     if "cases_labels" in facts:
-        by_geometry: dict[int, list[int]] = {}
-        for geometry, waveform in facts["cases_labels"]:
-            by_geometry.setdefault(geometry, []).append(waveform)
-        listed_waveforms = ((g, ", ".join(map(str, w))) for g, w in by_geometry.items())
-        rows.append(("", "\n".join(f"geometry {g}: waveforms {w}" for g, w in listed_waveforms)))
-    for name in ("seed", "engine", "trained", "seconds", "platform", "command", "source"):
+        keys = pd.DataFrame(facts["cases_labels"], columns=["geometry", "waveform"], dtype=str)
+        waveforms = keys.groupby("geometry", sort=False)["waveform"].agg(", ".join)
+        rows.append(("", "\n".join(f"geometry {g}: waveforms {w}" for g, w in waveforms.items())))
+    for name in _FACTS:
         if facts.get(name) is not None:
             value = facts[name]
             rows.append((name, f"{value:.1f}" if isinstance(value, float) else str(value)))

@@ -12,14 +12,13 @@ a small ensemble is fitted to the rest.  After Lakshminarayanan, Pritzel and Blu
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 import numpy as np
-import numpy.typing as npt
 
-from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import (
     archive_kind,
     interpreting,
@@ -27,27 +26,29 @@ from pcnde_bridge._utils.archive import (
     with_prefix,
     write_archive,
 )
-from pcnde_bridge._utils.parallel import Outcome, RunOptions, run
+from pcnde_bridge._utils.parallel import RunOptions, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.splits import Positions, neighboring_folds
+from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.engines import EngineChoice
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
 from pcnde_bridge.model.fit_task import FitTask, common_facts, fit_model, model_of, same_everywhere
-from pcnde_bridge.model.inputs import Inputs
+from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.model.predictor import Predictor, in_batches, predict, prepare
+from pcnde_bridge.model.predictor import Predictor, predict
 from pcnde_bridge.training.provenance import provenance as current_provenance
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 
 ENSEMBLE_FORMAT, ENSEMBLE_VERSION = "pcnde-ensemble", 1
 
+MEMBER_PREFIX = "member_{}_"  # of the names of a member's arrays in the file
 _FITS_PER_FOLD = 2  # the fewest that have a standard deviation
 
 
+@dataclass(eq=False, repr=False)
 class Ensemble(Predictor):
     """Several models of the same cases, with calibrated uncertainty.
 
@@ -63,22 +64,22 @@ class Ensemble(Predictor):
         Facts needed to reproduce the fit.
     """
 
-    def __init__(
-        self,
-        members: Sequence[PCNDE],
-        calibration: Calibration,
-        provenance: Mapping[str, Any] | None = None,
-    ) -> None:
-        if len(members) < 2:
-            raise InputError(f"An ensemble needs at least 2 members, got {len(members)}.")
-        if len({(m.grid.time.tobytes(), m.grid.z.tobytes(), m.grid.period) for m in members}) > 1:
+    _batch = 64
+
+    members: Sequence[PCNDE]
+    calibration: Calibration
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.members) < 2:
+            raise InputError(f"An ensemble needs at least 2 members, got {len(self.members)}.")
+        grids = {(m.grid.time.tobytes(), m.grid.z.tobytes(), m.grid.period) for m in self.members}
+        if len(grids) > 1:
             raise InputError(
                 "The members were trained on different grids: they cannot be averaged."
             )
-        calibration.check()
-        self.members = tuple(members)
-        self.calibration = calibration
-        self.provenance = dict(provenance or {})
+        self.calibration.check()
+        self.members, self.provenance = tuple(self.members), dict(self.provenance)
         first = self.members[0]
         self.config, self.grid, self.engine = first.config, first.grid, first.engine
         self.novelty = first.novelty  # all members have the same training cases
@@ -130,8 +131,7 @@ class Ensemble(Predictor):
         TaskError
             If too few fits succeeded for an ensemble.
         """
-        if not isinstance(cases, Cases):
-            raise InputError(f"Ensemble.fit needs a Cases, got {type(cases).__name__}.")
+        check_cases("The cases of a fit", cases)
         members, folds = whole("members", members, 2), whole("folds", folds, 2)
         seed = whole("seed", seed)
         settings = resolve_config(config)
@@ -139,111 +139,56 @@ class Ensemble(Predictor):
         left_out = neighboring_folds(cases, folds)
         if not left_out:
             raise InputError(f"{len(cases)} cases are too few for {folds} folds: give fewer folds.")
-        study = common_facts("ensemble", cases, settings, engine)
-        tasks = _tasks(FitTask(cases, settings, engine, seed), members, left_out)
-        outcome = run(fit_model, tasks, facts={**study, "seed": seed, "folds": folds}, **options)
-        fitted, calibration, seconds = _results(outcome, cases, left_out, engine)
+        facts = common_facts("ensemble", cases, settings, engine) | {"seed": seed, "folds": folds}
+        tasks = {f"member {k}": FitTask(cases, settings, engine, seed + k) for k in range(members)}
+        fits_of_folds = []
+        for number, positions in enumerate(left_out):
+            rest = cases.select(np.setdiff1d(np.arange(len(cases)), positions))
+            names = [f"without fold {number}, {k}" for k in range(_FITS_PER_FOLD)]
+            tasks |= {n: FitTask(rest, settings, engine, seed + k) for k, n in enumerate(names)}
+            fits_of_folds.append((names, cases.select(positions)))
+        outcome = run(fit_model, tasks, facts=facts, **options)
+        models = {name: model_of(result, engine) for name, result in outcome.results.items()}
+        fitted = [model for name, model in models.items() if name.startswith("member")]
+        complete = [
+            ([models[name] for name in names], held_out)
+            for names, held_out in fits_of_folds
+            if models.keys() >= set(names)
+        ]
+        if len(fitted) < 2 or not complete:
+            raise TaskError(f"{outcome.complaint()} Too few fits remain for an ensemble.")
         if outcome.failures:
             message = f"{outcome.complaint()} The ensemble does not contain them."
             warnings.warn(message, PCNDEWarning, stacklevel=2)
-        facts = current_provenance(cases, fitted[0].engine, seed)
-        facts |= {"members": len(fitted), "folds": folds}
-        facts |= {"failures": outcome.failures, "seconds": seconds}
-        return cls(fitted, calibration, facts)
+        provenance = current_provenance(cases, fitted[0].engine, seed) | {
+            "members": len(fitted),
+            "folds": folds,
+            "failures": outcome.failures,
+            "seconds": sum(float(model.provenance["seconds"]) for model in models.values()),
+        }
+        return cls(fitted, _calibrate(complete), provenance)
 
     @property
     def has_pressure(self) -> bool:
         """Whether the members predict the pressure."""
         return self.members[0].has_pressure
 
-    def predict(
-        self,
-        inflow: npt.ArrayLike | Cases,
-        area_undeformed: npt.ArrayLike | None = None,
-        *,
-        z: npt.ArrayLike | None = None,
-        period: float | None = None,
-        units: str | Mapping[str, str] | None = None,
-    ) -> Prediction:
-        """Predict flow, area and pressure, with their uncertainty.
-
-        Parameters
-        ----------
-        inflow, area_undeformed, z, period, units
-            See :meth:`PCNDE.predict`.
-
-        Returns
-        -------
-        Prediction
-            Mean of the members.  Its ``samples`` are the members, moved away from the
-            mean so that their standard deviation is the calibrated one;
-            ``standard_deviation()`` and ``interval()`` follow from them.
-
-        Warns
-        -----
-        OutsideTrainingWarning
-            If an input lies outside the training data.
-
-        Raises
-        ------
-        InputError, SolveError
-            See :meth:`PCNDE.predict`.
-        """
-        return self._solve(prepare(self, inflow, area_undeformed, z, period, units, warn=True))
-
-    def predict_batches(
-        self,
-        inflow: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike,
-        *,
-        batch: int = 64,
-        z: npt.ArrayLike | None = None,
-        period: float | None = None,
-        units: str | Mapping[str, str] | None = None,
-    ) -> Iterator[Prediction]:
-        """Predict as :meth:`predict` does, batch by batch.
-
-        A prediction needs the memory of one prediction of each member and of their mean.
-
-        Parameters
-        ----------
-        inflow, area_undeformed, batch, z, period, units
-            See :meth:`PCNDE.predict_batches`.
-
-        Returns
-        -------
-        iterator of Prediction
-            See :meth:`PCNDE.predict_batches`; the predictions have samples.
-
-        Warns
-        -----
-        OutsideTrainingWarning
-            If an input lies outside the training data.
-
-        Raises
-        ------
-        InputError, SolveError
-            See :meth:`PCNDE.predict_batches`.
-        """
-        batch = whole("batch", batch, 1)
-        inputs = prepare(self, inflow, area_undeformed, z, period, units, warn=True)
-        return in_batches(self, inputs, batch)
-
     def _solve(self, inputs: Inputs) -> Prediction:
         """Average the members' predictions; spread them to the calibrated standard deviation."""
         predictions = [member._solve(inputs) for member in self.members]
         first, count = predictions[0], len(predictions)
+        # Numbers with mean 0 and standard deviation 1, for members that agree up to round-off
+        # and so have no direction from their mean.
+        line = np.arange(count) - (count - 1) / 2
+        directions = (line / line.std(ddof=1))[:, None, None, None]
         means, samples = {}, {}
         for name in first.variables():
             values = np.stack([prediction.variables()[name] for prediction in predictions])
-            means[name] = values.mean(axis=0)
-            away = values - means[name]
-            spread = values.std(axis=0, ddof=1)
+            mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
             wanted = self.calibration.standard_deviation(name, spread, first.z)
-            # Members that agree up to round-off have no direction from their mean.
-            agree = spread <= 1e-12 * np.abs(means[name])
-            away = np.where(agree, _directions(count)[:, None, None, None], away)
-            samples[name] = means[name] + away * (wanted / np.where(agree, 1.0, spread))
+            agree = spread <= 1e-12 * np.abs(mean)
+            away = np.where(agree, directions, values - mean)
+            means[name], samples[name] = mean, mean + away * (wanted / np.where(agree, 1.0, spread))
         return replace(first, **means, samples=samples)
 
     def save(self, path: StrPath) -> None:
@@ -259,7 +204,9 @@ class Ensemble(Predictor):
         for number, member in enumerate(self.members):
             member_facts, member_arrays = member.to_archive()
             members.append(member_facts)
-            arrays |= {f"{_prefix(number)}{name}": a for name, a in member_arrays.items()}
+            arrays |= {
+                f"{MEMBER_PREFIX.format(number)}{name}": a for name, a in member_arrays.items()
+            }
         facts = {"members": members, "provenance": self.provenance}
         write_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, facts, arrays)
 
@@ -273,16 +220,12 @@ class Ensemble(Predictor):
             If the file is missing, truncated, foreign, or of a newer version.
         """
         facts, arrays = read_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, "ensemble")
+        engine = select_engine(engine)
         with interpreting(path, "ensemble"):
-            members = [
-                PCNDE.from_archive(
-                    member_facts,
-                    with_prefix(_prefix(number), arrays),
-                    engine,
-                    f"{path}, member {number}",
-                )
-                for number, member_facts in enumerate(facts["members"])
-            ]
+            members = []
+            for number, member in enumerate(facts["members"]):
+                own = with_prefix(MEMBER_PREFIX.format(number), arrays)
+                members.append(PCNDE.from_archive(member, own, engine, f"{path}, member {number}"))
             calibration = Calibration(arrays["profile"], arrays["scale"])
             return cls(members, calibration, facts["provenance"])
 
@@ -302,44 +245,6 @@ def load_model(path: StrPath, engine: EngineChoice = "auto") -> PCNDE | Ensemble
     return (Ensemble if archive_kind(path) == ENSEMBLE_FORMAT else PCNDE).load(path, engine)
 
 
-def _prefix(number: int) -> str:
-    """Return the prefix of a member's array names in the ensemble's file."""
-    return f"member_{number}_"
-
-
-def _fold_names(number: int) -> list[str]:
-    """Return the names of the fits that leave out a fold."""
-    return [f"without fold {number}, {k}" for k in range(_FITS_PER_FOLD)]
-
-
-def _tasks(first: FitTask, members: int, left_out: Sequence[Positions]) -> dict[str, FitTask]:
-    """Return the fits of the members, then those that leave out a fold each."""
-    cases, seed = first.train, first.seed
-    tasks = {f"member {k}": replace(first, seed=seed + k) for k in range(members)}
-    for number, positions in enumerate(left_out):
-        rest = cases.select(np.setdiff1d(np.arange(len(cases)), positions))
-        for k, name in enumerate(_fold_names(number)):
-            tasks[name] = replace(first, train=rest, seed=seed + k)
-    return tasks
-
-
-def _results(
-    outcome: Outcome, cases: Cases, left_out: Sequence[Positions], engine: EngineChoice
-) -> tuple[list[PCNDE], Calibration, float]:
-    """Return the members, their calibration on the folds, and the seconds of all fits."""
-    models = {name: model_of(result, engine) for name, result in outcome.results.items()}
-    fitted = [model for name, model in models.items() if name.startswith("member")]
-    folds = [
-        ([models[name] for name in _fold_names(number)], cases.select(positions))
-        for number, positions in enumerate(left_out)
-        if all(name in models for name in _fold_names(number))
-    ]
-    if len(fitted) < 2 or not folds:
-        raise TaskError(f"{outcome.complaint()} Too few fits remain for an ensemble.")
-    seconds = sum(float(model.provenance["seconds"]) for model in models.values())
-    return fitted, _calibrate(folds), seconds
-
-
 def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
     """Fit profile and scale on folds: models, and the cases that they were not trained on."""
     errors, spreads = [], []
@@ -351,10 +256,3 @@ def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
         spreads.append(values.std(axis=1, ddof=1))
     error = np.concatenate(errors, axis=1)
     return Calibration.fit(shared_error(error), error, np.concatenate(spreads, axis=1))
-
-
-def _directions(count: int) -> Array:
-    """Return numbers with mean 0 and standard deviation 1."""
-    line = np.arange(count) - (count - 1) / 2
-    result: Array = line / line.std(ddof=1)
-    return result

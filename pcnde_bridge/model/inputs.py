@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge._utils.validation import (
     check_finite,
     check_increasing,
@@ -23,9 +24,8 @@ from pcnde_bridge.data.plausibility import OPTION, check_units, input_sizes
 from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import RandomNumbers
-
-AreaScore = Callable[[Array], Array]
 
 # pandas takes longer to create this index than an engine to predict a case.
 _CASE = pd.Index(["case"])
@@ -61,16 +61,24 @@ class Inputs:
     def __len__(self) -> int:
         return len(self.inflow)
 
-    def rows(self, start: int, stop: int) -> Inputs:
-        """Return consecutive cases of inputs that have no labels but their numbers."""
-        rows = slice(start, min(stop, len(self)))
-        return Inputs(
-            self.inflow[rows],
-            self.area_undeformed[rows],
-            self.grid,
-            _numbered(rows.start, rows.stop),
-            None if self.novelty is None else self.novelty[rows],
-            None if self.random is None else self.random.select(rows),
+    def select(self, rows: slice) -> Inputs:
+        """Return a range of cases."""
+        return replace(
+            self,
+            inflow=self.inflow[rows],
+            area_undeformed=self.area_undeformed[rows],
+            labels=self.labels.iloc[rows].reset_index(drop=True),
+            novelty=None if self.novelty is None else self.novelty[rows],
+            random=None if self.random is None else self.random.select(rows),
+        )
+
+
+def check_cases(name: str, cases: object) -> None:
+    """Raise InputError unless an argument is a data set; ``name`` names it."""
+    if not isinstance(cases, Cases):
+        raise InputError(
+            f"{name} must be Cases, got {type(cases).__name__}. Create them with load_cases(path) "
+            "or Cases(flow=..., ...)."
         )
 
 
@@ -81,24 +89,24 @@ def inputs_from_cases(cases: Cases) -> Inputs:
 
 
 def inputs_from_arrays(
-    inflow: npt.ArrayLike,
-    area_undeformed: npt.ArrayLike | None,
-    z: npt.ArrayLike | None,
-    period: float | None,
-    units: str | Mapping[str, str] | None,
     trained: Grid,
     any_grid: bool,
+    inflow: npt.ArrayLike,
+    area_undeformed: npt.ArrayLike | None,
+    z: npt.ArrayLike | None = None,
+    period: float | None = None,
+    units: str | Mapping[str, str] | None = None,
 ) -> Inputs:
     """Check the arrays of a user, and repeat a single waveform or geometry for all cases.
 
     Parameters
     ----------
-    inflow, area_undeformed, z, period, units
-        Arguments of :meth:`pcnde_bridge.PCNDE.predict`.
     trained : Grid
         Grid of the training cases.
     any_grid : bool
         Whether the model predicts on other grids.
+    inflow, area_undeformed, z, period, units
+        Arguments of :meth:`pcnde_bridge.PCNDE.predict`.
 
     Raises
     ------
@@ -108,7 +116,15 @@ def inputs_from_arrays(
     if area_undeformed is None:
         raise InputError("predict needs area_undeformed beside the inflow.")
     factor = factors_to_cgs(stated_units(units))
-    grid = _grid(inflow, z, period, factor, trained, any_grid)
+    grid = trained
+    if any_grid:
+        n_times = np.shape(inflow)[-1] if np.ndim(inflow) else 0
+        grid = _grid(trained, n_times, z, period, factor)
+    elif z is not None or period is not None:
+        raise InputError(
+            "This model predicts only at the points and the period of its training: leave out "
+            "z and period. A model of the preset physics accepts others."
+        )
     q = _rows("inflow", inflow, grid.time.size, "time points")
     s_u = _rows("area_undeformed", area_undeformed, grid.z.size, "points")
     check_values("area_undeformed", s_u, s_u <= 0, "areas must be positive (cm²)")
@@ -118,23 +134,29 @@ def inputs_from_arrays(
             f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give equal numbers of "
             "both, or one of either."
         )
-    q *= factor["flow"]
-    s_u *= factor["area"]
-    q, s_u = (np.repeat(a, count, axis=0) if len(a) < count else a for a in (q, s_u))
-    return Inputs(q, s_u, grid, _numbered(0, count))
+    q, s_u = (
+        np.repeat(a, count, axis=0) if len(a) < count else a
+        for a in (q * factor["flow"], s_u * factor["area"])
+    )
+    numbers = pd.DataFrame(np.arange(count)[:, None], columns=_CASE, copy=False)
+    return Inputs(q, s_u, grid, numbers)
 
 
-def check_plausible(inputs: Inputs, stated: Collection[str], score: AreaScore | None) -> None:
+def check_plausible(
+    inputs: Inputs, chosen: AnyArray, stated: Collection[str], novelty: Novelty | None
+) -> None:
     """Raise if inputs outside the training data are implausible in CGS units.
 
     Parameters
     ----------
     inputs : Inputs
-        The inputs of these cases.
+        All inputs.
+    chosen : array of bool, shape (case,)
+        Cases outside the training data.
     stated : collection of str
         Quantities whose units are known.
-    score : callable or None
-        Distance from the training data of undeformed areas of shape (case, z), cm².
+    novelty : Novelty or None
+        Measure of the distance from the training data.
 
     Raises
     ------
@@ -142,18 +164,19 @@ def check_plausible(inputs: Inputs, stated: Collection[str], score: AreaScore | 
         If the mean inflow is negative, the units are wrong or ambiguous, or radii or
         diameters are given as areas.
     """
-    mean = inputs.inflow.mean(axis=1)
-    backward = mean < -1e-3 * np.abs(inputs.inflow).max(axis=1)
+    inflow, area, grid = inputs.inflow[chosen], inputs.area_undeformed[chosen], inputs.grid
+    mean = inflow.mean(axis=1)
+    backward = mean < -1e-3 * np.abs(inflow).max(axis=1)
     rule = "the cycle's mean inflow must not be negative: flow into the vessel is positive (mL/s)"
     check_values("the mean of inflow", mean, backward, rule)
-    grid, area = inputs.grid, inputs.area_undeformed
-    sizes = input_sizes(inputs.inflow, area, float(np.ptp(grid.z)), grid.period)
+    sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)
     check_units(sizes, stated, OPTION, unique=True)
-    if score is None or "area" in stated:
+    if novelty is None or "area" in stated:
         return
-    found = score(area)
+    _, found = novelty.score(inflow, area, grid.z)
     for name, factor in (("radii", np.pi), ("diameters", np.pi / 4)):
-        if (score(factor * area**2) < found / 4).all() and (found > 1).all():
+        _, squared = novelty.score(inflow, factor * area**2, grid.z)
+        if (squared < found / 4).all() and (found > 1).all():
             raise InputError(
                 f"area_undeformed looks like {name}: {factor:.4g} times their squares are much "
                 "nearer to the training data. Give areas, cm², or pass units='cgs' (--units cgs)."
@@ -161,22 +184,9 @@ def check_plausible(inputs: Inputs, stated: Collection[str], score: AreaScore | 
 
 
 def _grid(
-    inflow: npt.ArrayLike,
-    z: npt.ArrayLike | None,
-    period: float | None,
-    factor: Mapping[str, float],
-    trained: Grid,
-    any_grid: bool,
+    trained: Grid, n_times: int, z: Any, period: float | None, factor: Mapping[str, float]
 ) -> Grid:
-    if not any_grid:
-        if z is not None or period is not None:
-            raise InputError(
-                "This model predicts only at the points and the period of its training: leave out "
-                "z and period. A model of the preset physics accepts others."
-            )
-        return trained
-    shape = np.shape(inflow)
-    n_times = shape[-1] if shape else 0
+    """Return the grid of a prediction that may differ from that of the training."""
     points: Array = trained.z
     if z is not None:
         points = factor["z"] * _rows("z", z, np.size(z), "points")[0]
@@ -198,7 +208,3 @@ def _rows(name: str, values: npt.ArrayLike, length: int, noun: str) -> Array:
         )
     check_finite(name, array)
     return array
-
-
-def _numbered(start: int, stop: int) -> pd.DataFrame:
-    return pd.DataFrame(np.arange(start, stop)[:, None], columns=_CASE, copy=False)

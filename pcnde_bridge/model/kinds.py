@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any, ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_finite, check_increasing, check_shape, positive
-from pcnde_bridge.config import ClosureConfig, Config, PCNDEConfig
+from pcnde_bridge.config import ClosureConfig, Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid, check_resolution
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
@@ -28,53 +27,41 @@ from pcnde_bridge.training.trainer import staged_training
 from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
 
 AnyParameters = Parameters | ClosureParameters
+Samples = dict[str, Array]
+"""Samples by variable, each of shape (sample, case, time, z)."""
 
 
-class Kind(ABC):
-    """Interface of a kind of model; its methods expect configuration and parameters of the kind.
+@dataclass(frozen=True)
+class Kind:
+    """Kind of model.
 
     Attributes
     ----------
     any_grid : bool
         Whether predictions may be on another grid than that of the training cases.
+    parameters : type
+        Class of the trained parameters.
+    procedure : callable
+        Returns the training procedure for cases, settings and an engine.
+    predict : callable
+        Takes engine, settings, parameters, inputs and uncertainty; returns flow, area and
+        pressure, each of shape (case, time, z), and samples if the inputs have random numbers.
     """
 
-    any_grid: ClassVar[bool]
-    _parameters: ClassVar[type[AnyParameters]]
+    any_grid: bool
+    parameters: type[Any]
+    procedure: Callable[[Cases, Any, Engine], Procedure[Any]]
+    predict: Callable[..., tuple[Solution, Samples | None]]
 
-    @abstractmethod
-    def procedure(self, cases: Cases, config: Any, engine: Engine) -> Procedure[Any]:
-        """Return the training procedure for cases and settings."""
-
-    @abstractmethod
-    def predict(
-        self,
-        engine: Engine,
-        config: Any,
-        parameters: Any,
-        inputs: Inputs,
-        uncertainty: Uncertainty | None = None,
-    ) -> tuple[Solution, dict[str, Array] | None]:
-        """Predict flow, area and pressure.
-
-        Returns
-        -------
-        Solution
-            Arrays of shape (case, time, z).
-        dict of arrays of shape (sample, case, time, z), or None
-            Samples by variable, if the inputs have random numbers.
-        """
-
-    @abstractmethod
     def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
         """Raise InputError unless a model trained on one grid predicts on the other one.
 
         ``where`` names the holder of the training grid in the message.
         """
-
-    def read_parameters(self, arrays: Mapping[str, Array]) -> AnyParameters:
-        """Read the parameters from the arrays of a model file; raise KeyError if one is missing."""
-        return self._parameters(**{f.name: arrays[f.name] for f in fields(self._parameters)})
+        if self.any_grid:
+            check_resolution(other.time.size, other.z.size)
+        else:
+            check_grid(trained, other, where)
 
     def check(
         self, config: Config, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
@@ -93,77 +80,36 @@ class Kind(ABC):
             check_finite(name, axis)
             check_increasing(name, axis)
         positive("period", grid.period, "s")
-        if not isinstance(parameters, self._parameters):
+        if not isinstance(parameters, self.parameters):
             raise TypeError(f"{type(parameters).__name__} do not go with {type(config).__name__}")
-        self._check_vectors(config, parameters, grid, uncertainty)
-
-    @abstractmethod
-    def _check_vectors(
-        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
-    ) -> None: ...
-
-
-class _Staged(Kind):
-    any_grid = False
-    _parameters = Parameters
-
-    def procedure(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> Procedure[Any]:
-        return staged_training(cases, config, engine)
-
-    def predict(
-        self, engine: Engine, config: Any, parameters: Any, inputs: Inputs, *_: Any
-    ) -> tuple[Solution, None]:
-        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
-        return engine.predict(parameters, *arrays, config), None
-
-    def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
-        check_grid(trained, other, where)
-
-    def _check_vectors(self, config: Any, parameters: Parameters, grid: Grid, _: Any) -> None:
-        parameters.check(config, grid.time.size, grid.z.size)
-
-
-class _Closures(Kind):
-    any_grid = True
-    _parameters = ClosureParameters
-
-    def procedure(self, cases: Cases, config: ClosureConfig, engine: Engine) -> Procedure[Any]:
-        return ClosureTraining(cases, config, engine)
-
-    def predict(
-        self,
-        engine: Engine,
-        config: Any,
-        parameters: Any,
-        inputs: Inputs,
-        uncertainty: Uncertainty | None = None,
-    ) -> tuple[Solution, dict[str, Array] | None]:
-        arrays = inputs.inflow, inputs.area_undeformed, inputs.grid, config
-        mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *arrays)
-        if uncertainty is None or inputs.random is None:
-            return mean, None
-        model = engine.closures, parameters, uncertainty, mean
-        return mean, sample(*model, *arrays, inputs.random)
-
-    def check_grid(self, trained: Grid, other: Grid, where: str = "model.grid") -> None:
-        check_resolution(other.time.size, other.z.size)
-
-    def _check_vectors(
-        self, config: Any, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
-    ) -> None:
-        parameters.check(config)
+        # The parameters of the closures do not depend on the grid.
+        parameters.check(config, *(() if self.any_grid else (grid.time.size, grid.z.size)))
         if uncertainty is not None:
             uncertainty.check(parameters.correction.size)
 
 
-_STAGED, _CLOSURES = _Staged(), _Closures()
+def _predict_staged(
+    engine: Engine, config: Any, parameters: Any, inputs: Inputs, _: Uncertainty | None = None
+) -> tuple[Solution, None]:
+    arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
+    return engine.predict(parameters, *arrays, config), None
+
+
+def _predict_closures(
+    engine: Engine, config: Any, parameters: Any, inputs: Inputs, spread: Uncertainty | None = None
+) -> tuple[Solution, Samples | None]:
+    arrays = inputs.inflow, inputs.area_undeformed, inputs.grid, config
+    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *arrays)
+    if spread is None or inputs.random is None:
+        return mean, None
+    model = engine.closures, parameters, spread, mean
+    return mean, sample(*model, *arrays, inputs.random)
+
+
+_STAGED = Kind(False, Parameters, staged_training, _predict_staged)
+_CLOSURES = Kind(True, ClosureParameters, ClosureTraining, _predict_closures)
 
 
 def kind_of(config: Config) -> Kind:
     """Return the kind of model that a configuration describes."""
     return _CLOSURES if isinstance(config, ClosureConfig) else _STAGED
-
-
-def solve(engine: Engine, config: Config, parameters: AnyParameters, inputs: Inputs) -> Solution:
-    """Predict flow, area and pressure with a model of either kind."""
-    return kind_of(config).predict(engine, config, parameters, inputs)[0]

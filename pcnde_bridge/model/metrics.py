@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
+from pcnde_bridge.data.selection import case_keys
 from pcnde_bridge.errors import InputError
 
 AREA_MARGIN = 5
@@ -82,18 +84,24 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
         Index ``geometry`` and ``waveform``, a column for each error of :func:`pooled_errors`;
         the last row, labeled ``("pooled", "pooled")``, is over all cases.
     """
-    pairs = _pairs(predicted, cases)
+    pairs = _pairs(predicted, cases).items()
+    return case_table(lambda s: {name: _error(name, v[s], t[s]) for name, (v, t) in pairs}, cases)
+
+
+def case_table(measure: Callable[[slice], dict[str, Any]], cases: Cases) -> pd.DataFrame:
+    """Return measures of every case, and of all cases, as rows of a table.
+
+    Parameters
+    ----------
+    measure : callable
+        Takes a range of cases, and returns its measures by name.
+    cases : Cases
+        The cases, whose labels are the index.
+    """
     subsets = [*(slice(i, i + 1) for i in range(len(cases))), slice(None)]
-    rows = [
-        {
-            name: _error(name, values[subset], truth[subset])
-            for name, (values, truth) in pairs.items()
-        }
-        for subset in subsets
-    ]
-    keys = list(cases.labels[["geometry", "waveform"]].itertuples(index=False, name=None))
-    index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=["geometry", "waveform"])
-    return pd.DataFrame(rows, index=index)
+    keys = [*case_keys(cases.labels), (POOLED, POOLED)]
+    index = pd.MultiIndex.from_tuples(keys, names=["geometry", "waveform"])
+    return pd.DataFrame([measure(subset) for subset in subsets], index)
 
 
 def _pairs(predicted: Mapping[str, Array], cases: Cases) -> dict[str, tuple[Array, Array]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -19,15 +19,14 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.errors import InputError
-from pcnde_bridge.model.inputs import Inputs
+from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.model.predictor import Predictor, in_batches, prepare
+from pcnde_bridge.model.predictor import Predictor
 from pcnde_bridge.model.published_weights import read_published_weights
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.provenance import provenance as current_provenance
+from pcnde_bridge.training.provenance import provenance
 from pcnde_bridge.training.trainer import Trainer
 from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import Uncertainty
@@ -73,6 +72,8 @@ class PCNDE(Predictor):
 
     def __post_init__(self) -> None:
         kind_of(self.config).check(self.config, self.parameters, self.grid, self.uncertainty)
+        if self.novelty is not None:
+            self.novelty.check()
 
     @classmethod
     def fit(
@@ -132,26 +133,16 @@ class PCNDE(Predictor):
         >>> model = PCNDE.fit(train)  # doctest: +SKIP
         >>> model.evaluate(test)  # doctest: +SKIP
         """
-        if not isinstance(cases, Cases):
-            raise InputError(
-                f"PCNDE.fit needs a Cases, got {type(cases).__name__}. "
-                "Create one with load_cases(path) or Cases(flow=..., ...)."
-            )
+        check_cases("The cases of a fit", cases)
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
         procedure = kind_of(settings).procedure(cases, settings, engine)
         state = Trainer(procedure, checkpoint).fit(seed, progress)
-        return cls(
-            procedure.config,
-            state.parameters,
-            cases.grid,
-            engine,
-            {**current_provenance(cases, engine, seed), **state.facts},
-            state.history,
-            state.uncertainty,
-            Novelty.fit(cases.inflow, cases.area_undeformed, cases.z),
-        )
+        facts = provenance(cases, engine, seed) | state.facts
+        novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.z)
+        fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history
+        return cls(*fitted, state.uncertainty, novelty)
 
     @classmethod
     def from_published_weights(
@@ -194,131 +185,12 @@ class PCNDE(Predictor):
         """Whether the model predicts the pressure."""
         return self.parameters.has_pressure
 
-    def predict(
-        self,
-        inflow: npt.ArrayLike | Cases,
-        area_undeformed: npt.ArrayLike | None = None,
-        *,
-        z: npt.ArrayLike | None = None,
-        period: float | None = None,
-        units: str | Mapping[str, str] | None = None,
-        samples: int = 0,
-        seed: int = 0,
-    ) -> Prediction:
-        """Predict flow, area and pressure.
-
-        Parameters
-        ----------
-        inflow : array of shape (case, time) or (time,), or Cases
-            Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; for
-            ``Cases``, the flow at their first point.  A model of the preset ``physics``
-            accepts any number of equally spaced time points of one cycle.
-        area_undeformed : array of shape (case, z) or (z,)
-            Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
-            waveform is combined with many geometries, and the other way round.
-        z : array of shape (z,), optional
-            Axial positions, cm, if they differ from the model's (preset ``physics``).
-        period : float, optional
-            Period, s, if it differs from the model's (preset ``physics``).
-        units : str or mapping, optional
-            ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
-            ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
-            data are rejected if they are unusual, or usual in other units as well.
-        samples : int
-            Number of samples (preset ``physics``), 0 or at least 2, for the result's
-            ``samples``, ``standard_deviation()`` and ``interval()``.  They need the
-            memory of that many predictions.
-        seed : int
-            Random seed of the samples.
-
-        Returns
-        -------
-        Prediction
-            Arrays of shape (case, time, z), and ``to_frame()``; ``novelty`` is the
-            distance of each case from the training data.
-
-        Warns
-        -----
-        OutsideTrainingWarning
-            If an input lies outside the training data; a period does if it differs by
-            more than a tenth.
-
-        Raises
-        ------
-        InputError
-            If a shape, the grid or a value is not usable, or the units are ambiguous.
-        SolveError
-            If the equations diverge for an input.
-        """
-        given = inflow, area_undeformed, z, period, units
-        return self._solve(prepare(self, *given, samples, seed, warn=True))
-
-    def predict_batches(
-        self,
-        inflow: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike,
-        *,
-        batch: int = 256,
-        z: npt.ArrayLike | None = None,
-        period: float | None = None,
-        units: str | Mapping[str, str] | None = None,
-        samples: int = 0,
-        seed: int = 0,
-    ) -> Iterator[Prediction]:
-        """Predict as :meth:`predict` does, batch by batch.
-
-        Only predictions that are still in use need memory: a batch of 256 cases with
-        100 time points and 101 points has 62 MB, 10 000 cases have 2.4 GB; each sample
-        needs as much again.
-
-        Parameters
-        ----------
-        inflow, area_undeformed, z, period, units, samples, seed
-            See :meth:`predict`; the samples are the same.
-        batch : int
-            Number of cases in each prediction; the last may have fewer.
-
-        Returns
-        -------
-        iterator of Prediction
-            Predictions in the order of the cases; the column ``case`` of ``labels``
-            numbers all cases.  Each prediction has its own arrays.  Errors and warnings
-            about the inputs come before the first prediction.
-
-        Warns
-        -----
-        OutsideTrainingWarning
-            If an input lies outside the training data.
-
-        Raises
-        ------
-        InputError
-            If an input is not usable, or ``batch`` is not a positive whole number.
-        SolveError
-            If the equations diverge for an input, when its batch is computed.
-
-        Examples
-        --------
-        >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
-        ...     highest.append(part.pressure.max(axis=(1, 2)))
-        """
-        batch, given = whole("batch", batch, 1), (inflow, area_undeformed, z, period, units)
-        return in_batches(self, prepare(self, *given, samples, seed, warn=True), batch)
-
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters
         solution, samples = kind_of(self.config).predict(*model, inputs, self.uncertainty)
-        grid = inputs.grid
-        return Prediction(
-            *solution,
-            inputs.area_undeformed,
-            grid.time,
-            grid.z,
-            grid.period,
-            inputs.labels,
-            inputs.novelty,
-            samples,
-        )
+        axes = inputs.grid.time, inputs.grid.z, inputs.grid.period
+        about = inputs.labels, inputs.novelty
+        return Prediction(*solution, inputs.area_undeformed, *axes, *about, samples)
 
     def save(self, path: StrPath) -> None:
         """Write the model into one file, atomically and without pickle.
@@ -373,21 +245,23 @@ class PCNDE(Predictor):
         FileError
             If a part is missing or does not fit.
         """
+        engine = select_engine(engine)
         with interpreting(where, "model"):
             config = config_from(facts["config"])
-            kind, grid = kind_of(config), Grid(arrays["time"], arrays["z"], float(arrays["period"]))
-            parameters = kind.read_parameters(arrays)
-            provenance, iterations = dict(facts["provenance"]), histories.from_arrays(arrays)
+            kind = kind_of(config)
             spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
-            uncertainty = Uncertainty(**spread) if spread else None
-            kind.check(config, parameters, grid, uncertainty)
             # Older files spell "centre".
             known = {name.replace("centre", "center"): array for name, array in known.items()}
-            novelty = Novelty(**known) if known else None
-            if novelty is not None:
-                novelty.check()
-        engine, optional = select_engine(engine), (uncertainty, novelty)
-        return cls(config, parameters, grid, engine, provenance, iterations, *optional)
+            return cls(
+                config,
+                kind.parameters(**{f.name: arrays[f.name] for f in fields(kind.parameters)}),
+                Grid(arrays["time"], arrays["z"], float(arrays["period"])),
+                engine,
+                dict(facts["provenance"]),
+                histories.from_arrays(arrays),
+                Uncertainty(**spread) if spread else None,
+                Novelty(**known) if known else None,
+            )
 
     def __repr__(self) -> str:
         """Return the variables, the size of the grid and the engine."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import VesselQuantities
-from pcnde_bridge.data.variables import UNITS
+from pcnde_bridge.data.variables import UNITS, VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io import predictions
 
@@ -72,8 +72,7 @@ class Prediction(VesselQuantities):
 
     def variables(self) -> dict[str, Array]:
         """Return the predicted variables by name."""
-        found = {"flow": self.flow, "area": self.area, "pressure": self.pressure}
-        return {name: values for name, values in found.items() if values is not None}
+        return {name: v for name in VARIABLES if (v := getattr(self, name)) is not None}
 
     def standard_deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable, shape (case, time, z).
@@ -191,18 +190,15 @@ class Prediction(VesselQuantities):
             ``area_undeformed`` (cm²); with samples also
             ``flow_standard_deviation`` and so on, in the same units.
         """
-        n_cases, n_times, n_points = self.flow.shape
-        rows = np.repeat(np.arange(n_cases), n_times * n_points)
-        frame = self.labels.iloc[rows].reset_index(drop=True)
-        frame["time"] = np.tile(np.repeat(self.time, n_points), n_cases)
-        frame["z"] = np.tile(self.z, n_cases * n_times)
-        for name, values in self.variables().items():
-            frame[name] = values.ravel()
+        shape = self.flow.shape
+        columns = {"time": self.time[:, None], "z": self.z, **self.variables()}
         if self.samples is not None:
-            for name, values in self.standard_deviation().items():
-                frame[f"{name}_standard_deviation"] = values.ravel()
-        frame["area_undeformed"] = np.repeat(self.area_undeformed, n_times, axis=0).ravel()
-        return frame
+            deviations = self.standard_deviation().items()
+            columns |= {f"{name}_standard_deviation": values for name, values in deviations}
+        columns["area_undeformed"] = self.area_undeformed[:, None]
+        labels = self.labels.iloc[np.repeat(np.arange(len(self)), shape[1] * shape[2])]
+        flat = {name: np.broadcast_to(values, shape).ravel() for name, values in columns.items()}
+        return labels.reset_index(drop=True).assign(**flat)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the prediction as an xarray data set with names, units and labels.
@@ -220,22 +216,19 @@ class Prediction(VesselQuantities):
         MissingExtraError
             If xarray is not installed (extra ``xarray``).
         """
-        dataset = require("xarray", "xarray").Dataset
         axes = ("case", "time", "z")
-        found: dict[str, tuple[tuple[str, ...], Array, dict[str, str]]] = {
-            name: (axes, values, {"units": UNITS[name]})
-            for name, values in self.variables().items()
-        }
-        found["area_undeformed"] = (("case", "z"), self.area_undeformed, {"units": UNITS["area"]})
+        labels = {name: (axes[:1], column.to_numpy()) for name, column in self.labels.items()}
+        coordinates = labels | {name: ((name,), getattr(self, name)) for name in axes[1:]}
+        arrays: dict[str, Any] = {name: (axes, v) for name, v in self.variables().items()}
+        arrays["area_undeformed"] = axes[::2], self.area_undeformed
         if self.novelty is not None:
-            found["novelty"] = (("case",), self.novelty, {})
-        for name, values in (self.samples or {}).items():
-            found[f"{name}_samples"] = (("sample", *axes), values, {"units": UNITS[name]})
-        labels = {name: ("case", column.to_numpy()) for name, column in self.labels.items()}
-        coordinates = {
-            name: (name, getattr(self, name), {"units": UNITS[name]}) for name in axes[1:]
-        }
-        result: xarray.Dataset = dataset(found, labels | coordinates, {"period": self.period})
+            arrays["novelty"] = axes[:1], self.novelty
+        arrays |= {f"{k}_samples": (("sample", *axes), v) for k, v in (self.samples or {}).items()}
+        dataset = require("xarray", "xarray").Dataset
+        result: xarray.Dataset = dataset(arrays, coordinates, {"period": self.period})
+        for name, array in result.variables.items():
+            if unit := UNITS.get(str(name).removesuffix("_samples")):
+                array.attrs["units"] = unit
         return result
 
     def save(self, path: StrPath) -> list[Path]:

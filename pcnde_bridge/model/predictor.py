@@ -6,6 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +17,16 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.units import SYSTEMS
+from pcnde_bridge.data.units import stated_units
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.model.inputs import Inputs, check_plausible, inputs_from_arrays, inputs_from_cases
+from pcnde_bridge.model.inputs import (
+    Inputs,
+    check_cases,
+    check_plausible,
+    inputs_from_arrays,
+    inputs_from_cases,
+)
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.metrics import error_table
 from pcnde_bridge.model.prediction import Prediction
@@ -51,6 +58,7 @@ class Predictor(ABC):
     engine: Engine
     novelty: Novelty | None = None
     uncertainty: Uncertainty | None = None
+    _batch: ClassVar[int] = 256
 
     @property
     @abstractmethod
@@ -65,6 +73,179 @@ class Predictor(ABC):
     @abstractmethod
     def _solve(self, inputs: Inputs) -> Prediction:
         """Predict from checked inputs."""
+
+    def predict(
+        self,
+        inflow: npt.ArrayLike | Cases,
+        area_undeformed: npt.ArrayLike | None = None,
+        *,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
+        samples: int = 0,
+        seed: int = 0,
+    ) -> Prediction:
+        """Predict flow, area and pressure.
+
+        Parameters
+        ----------
+        inflow : array of shape (case, time) or (time,), or Cases
+            Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; for
+            ``Cases``, the flow at their first point.  A model of the preset ``physics``
+            accepts any number of equally spaced time points of one cycle.
+        area_undeformed : array of shape (case, z) or (z,)
+            Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
+            waveform is combined with many geometries, and the other way round.
+        z : array of shape (z,), optional
+            Axial positions, cm, if they differ from the model's (preset ``physics``).
+        period : float, optional
+            Period, s, if it differs from the model's (preset ``physics``).
+        units : str or mapping, optional
+            ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
+            ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
+            data are rejected if they are unusual, or usual in other units as well.
+        samples : int
+            Number of samples (a model of the preset ``physics``), 0 or at least 2, for the
+            result's ``samples``, ``standard_deviation()`` and ``interval()``.  They need the
+            memory of that many predictions.  An ensemble's samples are its members.
+        seed : int
+            Random seed of the samples.
+
+        Returns
+        -------
+        Prediction
+            Arrays of shape (case, time, z), and ``to_frame()``; ``novelty`` is the
+            distance of each case from the training data.  An ensemble returns the mean of
+            its members, and as ``samples`` the members, moved away from the mean so that
+            their standard deviation is the calibrated one.
+
+        Warns
+        -----
+        OutsideTrainingWarning
+            If an input lies outside the training data; a period does if it differs by
+            more than a tenth.
+
+        Raises
+        ------
+        InputError
+            If a shape, the grid or a value is not usable, or the units are ambiguous.
+        SolveError
+            If the equations diverge for an input.
+        """
+        given = inflow, area_undeformed, z, period, units
+        return self._solve(self._prepare(samples, seed, *given))
+
+    def predict_batches(
+        self,
+        inflow: npt.ArrayLike,
+        area_undeformed: npt.ArrayLike,
+        *,
+        batch: int | None = None,
+        z: npt.ArrayLike | None = None,
+        period: float | None = None,
+        units: str | Mapping[str, str] | None = None,
+        samples: int = 0,
+        seed: int = 0,
+    ) -> Iterator[Prediction]:
+        """Predict as :meth:`predict` does, batch by batch.
+
+        Only predictions that are still in use need memory: a batch of 256 cases with
+        100 time points and 101 points has 62 MB, 10 000 cases have 2.4 GB; each sample and
+        each member of an ensemble needs as much again.
+
+        Parameters
+        ----------
+        inflow, area_undeformed, z, period, units, samples, seed
+            See :meth:`predict`; the samples are the same.
+        batch : int, optional
+            Number of cases in each prediction; the last may have fewer.  By default 256, and
+            64 for an ensemble.
+
+        Returns
+        -------
+        iterator of Prediction
+            Predictions in the order of the cases; the column ``case`` of ``labels``
+            numbers all cases.  Each prediction has its own arrays.  Errors and warnings
+            about the inputs come before the first prediction.
+
+        Warns
+        -----
+        OutsideTrainingWarning
+            If an input lies outside the training data.
+
+        Raises
+        ------
+        InputError
+            If an input is not usable, or ``batch`` is not a positive whole number.
+        SolveError
+            If the equations diverge for an input, when its batch is computed.
+
+        Examples
+        --------
+        >>> for part in model.predict_batches(inflow, area_undeformed):  # doctest: +SKIP
+        ...     highest.append(part.pressure.max(axis=(1, 2)))
+        """
+        size = self._batch if batch is None else whole("batch", batch, 1)
+        given = inflow, area_undeformed, z, period, units
+        return self._each_batch(self._prepare(samples, seed, *given), size)
+
+    def _each_batch(self, inputs: Inputs, size: int) -> Iterator[Prediction]:
+        for start in range(0, len(inputs), size):
+            try:
+                yield self._solve(inputs.select(slice(start, start + size)))
+            except SolveError as error:
+                raise SolveError(f"In the batch that starts at case {start}: {error}") from error
+
+    def _prepare(self, samples: int, seed: int, *given: Any) -> Inputs:
+        """Check the inputs, score their distance from the training data, generate random numbers.
+
+        ``given`` are inflow, area_undeformed, z, period and units of :meth:`predict`.  The
+        warning of extrapolation is attributed to the caller of the calling method.
+        """
+        inflow, *others = given
+        if isinstance(inflow, Cases):
+            if any(other is not None for other in others):
+                raise InputError("Give cases, or inflow and area_undeformed, not both.")
+            self.check_grid(inflow)
+            inputs = inputs_from_cases(inflow)
+        else:
+            inputs = inputs_from_arrays(self.grid, self.any_grid, *given)
+        random = self._random_numbers(samples, seed, len(inputs))
+        scores = self.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
+        novelty = np.max(list(scores.values()), axis=0) if scores else None
+        outside = np.ones(len(inputs), dtype=bool) if novelty is None else novelty > EDGE
+        if outside.any() and not isinstance(inflow, Cases):
+            _, z, period, units = others
+            stated = set(stated_units(units))
+            stated |= {name for name, value in (("z", z), ("time", period)) if value is None}
+            check_plausible(inputs, outside, stated, self.novelty)
+        if novelty is not None and outside.any():
+            worst = int(novelty.argmax())
+            farthest = max(scores, key=lambda name: float(scores[name][worst]))
+            warnings.warn(
+                f"{outside.sum()} of {len(novelty)} cases lie outside the training data, most of "
+                f"all case {worst} with its {farthest} (score {novelty[worst]:.2f}; 1 is the edge "
+                "of the training data). The prediction extrapolates.",
+                OutsideTrainingWarning,
+                stacklevel=3,
+            )
+        return replace(inputs, random=random, novelty=novelty)
+
+    def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
+        """Return the random numbers of the samples of ``count`` cases."""
+        samples, rng = whole("samples", samples), np.random.default_rng(whole("seed", seed))
+        if samples == 0:
+            return None
+        if samples == 1:
+            raise InputError(
+                "samples must be 0 or at least 2: a standard deviation needs at least two samples."
+            )
+        if self.uncertainty is None:
+            raise InputError(
+                "This model has no uncertainty to draw samples from. Fit it with the preset "
+                "'physics' (and correction.folds > 0). An ensemble's samples are its members."
+            )
+        return RandomNumbers.generate(self.uncertainty, samples, count, rng)
 
     def check_grid(self, cases: Cases) -> None:
         """Raise unless the model predicts on the grid of these cases.
@@ -126,103 +307,11 @@ class Predictor(ABC):
         InputError
             If the model does not predict on the grid of the cases.
         """
-        if not isinstance(cases, Cases):
-            raise InputError(
-                f"evaluate needs Cases, which hold the reference values, got {type(cases)}."
-            )
+        check_cases("The reference of an evaluation", cases)
         return error_table(predict(self, cases).variables(), cases)
 
 
 def predict(model: Predictor, cases: Cases) -> Prediction:
     """Predict cases without a warning of extrapolation, which their errors will show."""
-    return model._solve(prepare(model, cases))
-
-
-def prepare(
-    model: Predictor,
-    inflow: npt.ArrayLike | Cases,
-    area_undeformed: npt.ArrayLike | None = None,
-    z: npt.ArrayLike | None = None,
-    period: float | None = None,
-    units: str | Mapping[str, str] | None = None,
-    samples: int = 0,
-    seed: int = 0,
-    *,
-    warn: bool = False,
-) -> Inputs:
-    """Check the inputs, score their distance from the training data, generate random numbers.
-
-    The arguments are those of :meth:`pcnde_bridge.PCNDE.predict`; ``warn`` is whether to warn
-    of extrapolation; the warning is attributed to the caller of the calling method.
-    """
-    if isinstance(inflow, Cases):
-        if any(given is not None for given in (area_undeformed, z, period, units)):
-            raise InputError("Give cases, or inflow and area_undeformed, not both.")
-        model.check_grid(inflow)
-        inputs = inputs_from_cases(inflow)
-    else:
-        given = inflow, area_undeformed, z, period, units
-        inputs = inputs_from_arrays(*given, model.grid, model.any_grid)
-    random = _random_numbers(model.uncertainty, samples, seed, len(inputs))
-    scores = model.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
-    novelty = np.max(list(scores.values()), axis=0) if scores else None
-    beyond = np.ones(len(inputs), dtype=bool) if novelty is None else novelty > EDGE
-    outside = int(beyond.sum())
-    if outside and not isinstance(inflow, Cases):
-        known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(units or ())
-        known |= {name for name, given in (("z", z), ("time", period)) if given is None}
-        _check_plausible(model, inputs, beyond, known)
-    if novelty is None:
-        return replace(inputs, random=random)
-    if warn and outside:
-        worst = int(novelty.argmax())
-        farthest = max(scores, key=lambda name: float(scores[name][worst]))
-        warnings.warn(
-            f"{outside} of {len(novelty)} cases lie outside the training data, most of all "
-            f"case {worst} with its {farthest} (score {novelty[worst]:.2f}; 1 is the edge of the "
-            "training data). The prediction extrapolates.",
-            OutsideTrainingWarning,
-            stacklevel=3,
-        )
-    return replace(inputs, random=random, novelty=novelty)
-
-
-def _check_plausible(
-    model: Predictor, inputs: Inputs, chosen: npt.NDArray[np.bool_], known: set[str]
-) -> None:
-    """Check the units of chosen cases, those outside the training data."""
-    few = replace(
-        inputs,
-        inflow=inputs.inflow[chosen],
-        area_undeformed=inputs.area_undeformed[chosen],
-    )
-    novelty = model.novelty
-    score = None if novelty is None else lambda area: novelty.score(few.inflow, area, few.grid.z)[1]
-    check_plausible(few, known, score)
-
-
-def in_batches(model: Predictor, inputs: Inputs, batch: int) -> Iterator[Prediction]:
-    """Predict batch by batch, from inputs that were arrays."""
-    for start in range(0, len(inputs), batch):
-        try:
-            yield model._solve(inputs.rows(start, start + batch))
-        except SolveError as error:
-            raise SolveError(f"In the batch that starts at case {start}: {error}") from error
-
-
-def _random_numbers(
-    uncertainty: Uncertainty | None, samples: int, seed: int, count: int
-) -> RandomNumbers | None:
-    samples, seed = whole("samples", samples), whole("seed", seed)
-    if samples == 0:
-        return None
-    if samples == 1:
-        raise InputError(
-            "samples must be 0 or at least 2: a standard deviation needs at least two samples."
-        )
-    if uncertainty is None:
-        raise InputError(
-            "This model has no uncertainty to draw samples from. Fit it with the preset "
-            "'physics' (and correction.folds > 0)."
-        )
-    return RandomNumbers.generate(uncertainty, samples, count, np.random.default_rng(seed))
+    model.check_grid(cases)
+    return model._solve(inputs_from_cases(cases))

@@ -1,14 +1,15 @@
-"""Checks that several studies share."""
+"""Checks and training that several studies share."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils import validation
-from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.errors import InputError
-from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.training.procedure import Procedure, RunState, State
+from pcnde_bridge.training.trainer import Session, Trainer
 
 
 def check_single(cases: Cases, study: str) -> None:
@@ -32,22 +33,37 @@ def check_shape(variable: str, values: Array, cases: Cases) -> Array:
     return truth
 
 
-def staged_parts(model: PCNDE, missing: str) -> tuple[PCNDEConfig, Parameters]:
-    """Return configuration and parameters of a model with the paper's stages.
+def train_until_divergence(
+    procedure: Procedure[State], state: State, session: Session, steps: int
+) -> Iterator[State]:
+    """Yield the first state, and the state after each step, until an equation diverges.
 
     Parameters
     ----------
-    model : PCNDE
-        Model of any preset.
-    missing : str
-        What a model of the preset ``physics`` lacks, for the error message.
-
-    Raises
-    ------
-    InputError
-        If the model has the preset ``physics``.
+    procedure : Procedure
+        Training procedure.
+    state : RunState
+        State before the first step.
+    session : Session
+        Callbacks of the run.
+    steps : int
+        Number of steps.
     """
-    config, parameters = model.config, model.parameters
-    if not isinstance(config, PCNDEConfig) or not isinstance(parameters, Parameters):
-        raise InputError(f"A model of the preset physics has no {missing}; give another model.")
-    return config, parameters
+    trainer = Trainer(procedure, None, *session)
+    yield state
+    for number in range(1, steps + 1):
+        try:
+            state = trainer.run(state, until=number)
+        except SolveError:
+            return
+        yield state
+
+
+def describe_outcome(state: RunState, steps: int) -> str:
+    """Return ``"trained"``, or where training diverged, from the last state of a run."""
+    if state.finished == steps:
+        return "trained"
+    if not state.history:
+        return "diverged at the first parameters"
+    last = state.history[-1]
+    return f"diverged after {last.stage.replace('_', ' ')}, epoch {last.epoch}, batch {last.batch}"

@@ -16,14 +16,13 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.parallel import Workers, each
 from pcnde_bridge._utils.validation import whole_seeds
-from pcnde_bridge.config import Activation, PCNDEConfig
+from pcnde_bridge.config import Activation, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.parameters import PRESSURE_STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.studies._shared import staged_parts
 from pcnde_bridge.training.trainer import Trainer, staged_training
 
 ACTIVATIONS: tuple[Activation, ...] = ("gelu", "relu", "tanh", "sigmoid", "swish")
@@ -75,7 +74,7 @@ def activation_study(
         If the model has no pressure network, cases are not on its grid, or an argument is
         invalid.
     """
-    config, parameters = staged_parts(model, "pressure network whose activation could be changed")
+    config = resolve_pcnde_config(model.config)
     known = get_args(Activation)
     if not activations or len(set(activations)) < len(activations) or set(activations) - {*known}:
         raise InputError(f"Give some activations of {known}, none twice; got {activations}.")
@@ -84,10 +83,11 @@ def activation_study(
     for cases in subsets.values():
         model.check_grid(cases)
     pairs = [(activation, seed) for activation in activations for seed in seeds]
-    tasks = {}
-    for activation, seed in pairs:
-        changed = config.replace(temporal_pressure={"activation": activation})
-        tasks[f"{activation}, seed {seed}"] = model.engine, changed, parameters, seed, subsets
+    configs = {a: config.replace(temporal_pressure={"activation": a}) for a in activations}
+    tasks = {
+        f"{name}, seed {seed}": (model.engine, configs[name], model.parameters, seed, subsets)
+        for name, seed in pairs
+    }
     rows = each(_fit_and_measure, tasks, executor, progress)
     index = pd.MultiIndex.from_tuples(pairs, names=["activation", "seed"])
     return pd.DataFrame(rows, index=index)
@@ -109,16 +109,12 @@ def fit_pressure(
 
 
 def _fit_and_measure(
-    engine: Engine,
-    config: PCNDEConfig,
-    parameters: Parameters,
-    seed: int,
-    subsets: dict[str, Cases],
+    engine: Engine, config: PCNDEConfig, parameters: Parameters, seed: int, sets: dict[str, Cases]
 ) -> dict[str, float]:
     """Return the pressure errors of one activation function and seed."""
-    fitted = fit_pressure(engine, config, parameters, seed, subsets["train"])
+    fitted = fit_pressure(engine, config, parameters, seed, sets["train"])
     row = {}
-    for name, cases in subsets.items():
+    for name, cases in sets.items():
         inputs = (cases.inflow, cases.area_undeformed, cases.grid)
         pressure = engine.predict(fitted, *inputs, config).pressure
         assert pressure is not None

@@ -71,13 +71,12 @@ class PointwiseErrors:
         """
         z = self.case.z
         middle = (z[0] + z[-1]) / 2
-        columns = {
-            "mean": [values.mean() for values in self.distance.values()],
-            "largest": [values.max() for values in self.distance.values()],
-            "upstream": [values[:, z < middle].mean() for values in self.distance.values()],
-            "downstream": [values[:, z > middle].mean() for values in self.distance.values()],
+        rows = {
+            name: (v.mean(), v.max(), v[:, z < middle].mean(), v[:, z > middle].mean())
+            for name, v in self.distance.items()
         }
-        return pd.DataFrame(columns, pd.Index(list(self.distance), name="variable"))
+        columns = ["mean", "largest", "upstream", "downstream"]
+        return pd.DataFrame.from_dict(rows, "index", columns=columns).rename_axis("variable")
 
 
 def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseErrors:
@@ -159,14 +158,12 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     for method, arrays in predicted.items():
         for name, errors in relative_errors(arrays, cases).items():
             if np.isnan(errors).any():
-                rows[name, method] = dict.fromkeys(_STATISTICS, np.nan)
+                rows[name, method] = (np.nan,) * len(_STATISTICS)
                 continue
             lower, median, upper = np.percentile(errors, [25, 50, 75])
             reach = _WHISKER * (upper - lower)
             inside = errors[(errors >= lower - reach) & (errors <= upper + reach)]
             outliers = 1 - inside.size / errors.size
             found = median, lower, upper, inside.min(), inside.max(), errors.max(), outliers
-            rows[name, method] = dict(zip(_STATISTICS, found, strict=True))
-    frame = pd.DataFrame.from_dict(rows, orient="index")
-    frame.index = pd.MultiIndex.from_tuples(list(rows), names=["variable", "method"])
-    return frame
+            rows[name, method] = found
+    return pd.DataFrame(rows, index=_STATISTICS).T.rename_axis(["variable", "method"])

@@ -28,12 +28,13 @@ from pcnde_bridge.engines.staged import solve_area, undeformed
 from pcnde_bridge.engines.types import FlowInputs, IntermediateAreaInputs, TemporalFlowInputs
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
+from pcnde_bridge.studies._shared import describe_outcome, train_until_divergence
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training import minibatch
 from pcnde_bridge.training.area_fit import fit_area, fit_area_stage
 from pcnde_bridge.training.history import Iteration, Recorder
 from pcnde_bridge.training.procedure import Procedure, RunState, Step
-from pcnde_bridge.training.trainer import Session, Trainer, training_session
+from pcnde_bridge.training.trainer import training_session
 
 Formulation = Literal["spatial", "temporal", "temporal_with_time"]
 
@@ -169,11 +170,8 @@ def compare_formulations(
     InputError
         If an argument is invalid, or the test cases are not on the training cases' grid.
     """
-    unknown = set(formulations) - set(FORMULATIONS)
-    if unknown:
-        raise InputError(f"Unknown formulations {sorted(unknown)}; choose from {FORMULATIONS}.")
-    if not formulations:
-        raise InputError(f"Give at least one formulation of {FORMULATIONS}.")
+    if not formulations or not set(formulations) <= set(FORMULATIONS):
+        raise InputError(f"Give at least one formulation of {FORMULATIONS}; got {formulations}.")
     seed, config = whole("seed", seed), resolve_pcnde_config(config)
     if test is not None:
         check_grid(train.grid, test.grid, "train")
@@ -183,17 +181,16 @@ def compare_formulations(
     starts = {name: procedure.start(seed) for name, procedure in procedures.items()}
     total = sum(p.count_iterations(starts[name]) for name, p in procedures.items())
 
-    def evaluate(name: str, flows: Mapping[str, Array]) -> dict[tuple[str, str], FormulationResult]:
-        found = _evaluate(flows, subsets, chosen, config)
-        return {(name, subset): result for subset, result in found.items()}
-
+    evaluate = partial(_evaluate, subsets=subsets, engine=chosen, config=config)
     outcomes: dict[str, str] = {}
     frames = []
     # The true flow shows the errors of the equations alone.
     results = evaluate("truth", {subset: cases.flow for subset, cases in subsets.items()})
     with training_session(progress, total) as session:
         for name, procedure in procedures.items():
-            state, outcomes[name] = procedure.train(starts[name], session)
+            steps = len(procedure.steps(starts[name]))
+            *_, state = train_until_divergence(procedure, starts[name], session, steps)
+            outcomes[name] = describe_outcome(state, steps)
             frames.append(histories.to_frame(state.history).assign(formulation=name))
             try:
                 flows = {k: procedure.solve(state, cases) for k, cases in subsets.items()}
@@ -226,12 +223,12 @@ class _FormulationTraining(Procedure[_FormulationState]):
 
     def start(self, seed: int) -> _FormulationState:
         """Return the state with seeded batches and parameters."""
-        cases, config = self.cases, self.config
+        config, n_points = self.config, self.cases.n_points
         if self._in_space:
-            first = initial_parameters(config, cases.n_times, cases.n_points, seed).flow
+            first = initial_parameters(config, self.cases.n_times, n_points, seed).flow
         else:
-            first = initial_temporal_flow(config, cases.n_points, seed)
-        batches = minibatch.random_batches(cases, config, seed)
+            first = initial_temporal_flow(config, n_points, seed)
+        batches = minibatch.random_batches(self.cases, config, seed)
         return _FormulationState(seed=seed, batches=batches, parameters=first)
 
     def steps(self, state: _FormulationState) -> list[Step]:
@@ -251,16 +248,6 @@ class _FormulationTraining(Procedure[_FormulationState]):
         optimize = partial(self._stage.fit, state.parameters, inputs, target, *run)
         return replace(state, parameters=recorder.run(*step, optimize))
 
-    def train(self, state: _FormulationState, session: Session) -> tuple[_FormulationState, str]:
-        """Run all steps, or until the equation diverges; return the state and the outcome."""
-        trainer = Trainer(self, None, *session)
-        for number, step in enumerate(self.steps(state), 1):
-            try:
-                state = trainer.run(state, until=number)
-            except SolveError:
-                return state, f"diverged in epoch {step.epoch}, batch {step.batch}"
-        return state, "trained"
-
     def solve(self, state: _FormulationState, cases: Cases) -> Array:
         """Return Q (case, time, z), mL/s, of any cases on the same grid."""
         inputs = self._inputs(cases)
@@ -273,9 +260,13 @@ class _FormulationTraining(Procedure[_FormulationState]):
 
 
 def _evaluate(
-    flows: Mapping[str, Array], subsets: Mapping[str, Cases], engine: Engine, config: PCNDEConfig
-) -> dict[str, FormulationResult]:
-    """Return slopes and areas for the flow of each subset."""
+    name: str,
+    flows: Mapping[str, Array],
+    subsets: Mapping[str, Cases],
+    engine: Engine,
+    config: PCNDEConfig,
+) -> dict[tuple[str, str], FormulationResult]:
+    """Return slopes and areas for the flow of each subset, by formulation and subset."""
     train = subsets["train"]
 
     def fit(stage: str, inputs: Any, target: Array) -> Array:
@@ -294,5 +285,5 @@ def _evaluate(
         by_continuity = engine.intermediate_area.solve(uncorrected, inputs, train.grid, config)
         area = solve_area(engine, parameters, flow, start, train.grid, config)
         slope, last = flow_slope(flow, cases.z), by_continuity[:, -cases.n_times :]
-        results[subset] = FormulationResult(flow, slope, last, area)
+        results[name, subset] = FormulationResult(flow, slope, last, area)
     return results

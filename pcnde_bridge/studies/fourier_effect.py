@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge.config import resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.types import IntermediateAreaInputs
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.studies._shared import staged_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +74,12 @@ def fourier_effect(model: PCNDE, cases: Cases) -> FourierEffect:
     InputError
         If the model has no Fourier stage, or the cases are not on the model's grid.
     """
-    config, parameters = staged_parts(model, "Fourier stage")
+    config = resolve_pcnde_config(model.config)
     predicted = model.predict(cases)
     # At least two cycles: the drift is the difference of Ŝ between two of them.
     cycles = max(2, config.intermediate_area.cycles)
     intermediate = model.engine.intermediate_area.solve(
-        parameters.intermediate_area,
+        dict(model.parameters)["intermediate_area"],
         IntermediateAreaInputs(predicted.flow, cases.area_undeformed),
         cases.grid,
         config.replace(intermediate_area={"cycles": cycles}),

@@ -28,12 +28,13 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import FlowInputs
-from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import compared, relative_error
+from pcnde_bridge.studies._shared import describe_outcome, train_until_divergence
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
-from pcnde_bridge.training.trainer import Session, Trainer, staged_training, training_session
+from pcnde_bridge.training.trainer import staged_training, training_session
 
 Moment = Literal["initial", "coupled"]
 
@@ -96,7 +97,7 @@ class Landscape:
         1 − R² of the least-squares fit where L is finite: 0 is a smooth surface; NaN with
         too few points.
         """
-        first, second = self._grid
+        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
         scale = np.abs(self.amplitudes).max()
         finite = ~self.diverged & (self.losses > 0)
         values = np.log(self.losses[finite])
@@ -108,13 +109,9 @@ class Landscape:
         residual = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
         return float((residual @ residual) / ((values - values.mean()) ** 2).sum())
 
-    @property
-    def _grid(self) -> list[Array]:
-        return list(np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij"))
-
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each point: equation, moment, amplitudes, loss and divergence."""
-        first, second = self._grid
+        first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
         return pd.DataFrame(
             {
                 "right_hand_side": self.right_hand_side,
@@ -297,62 +294,23 @@ def explore_landscapes(
         for name, terms in right_hand_sides.items()
     }
     start = next(iter(procedures.values())).start(seed)
-    iterations = len(start.batches) * config.flow.epochs * config.flow.iterations
-    landscapes: list[Landscape] = []
-    outcomes: dict[str, str] = {}
-    frames: list[pd.DataFrame] = []
-    with training_session(progress, iterations * len(procedures)) as session:
+    tasks = [step.task for step in next(iter(procedures.values())).steps(start)]
+    moments: dict[int, Moment] = {1: "initial", tasks.index("coupling") + 1: "coupled"}
+    steps = tasks.index("temporal_pressure")
+    pressure = config.temporal_pressure.iterations + config.spatial_pressure.iterations
+    total = sum(each.count_iterations(start) - pressure for each in procedures.values())
+    evaluate = partial(_evaluate, amplitude=amplitude, points=points, seed=seed)
+    landscapes, outcomes, frames = [], {}, []
+    with training_session(progress, total) as session:
         for name, procedure in procedures.items():
-            records = _Records(session)
-            around: dict[str, Any] = {"amplitude": amplitude, "points": points, "seed": seed}
-            evaluate = partial(_evaluate, name, procedure, **around)
-            found, outcomes[name] = _train(procedure, start, records, evaluate)
-            landscapes += found
-            frames.append(histories.to_frame(records.iterations).assign(right_hand_side=name))
+            for state in train_until_divergence(procedure, start, session, steps):
+                if state.finished in moments:
+                    landscapes.append(evaluate(name, procedure, moments[state.finished], state))
+            if not state.finished:
+                landscapes.append(evaluate(name, procedure, "initial", start))
+            outcomes[name] = describe_outcome(state, steps)
+            frames.append(histories.to_frame(state.history).assign(right_hand_side=name))
     return LandscapeStudy(tuple(landscapes), outcomes, pd.concat(frames, ignore_index=True))
-
-
-class _Records:
-    """All iterations, also those before a divergence; progress counts those of the flow."""
-
-    def __init__(self, session: Session) -> None:
-        self.iterations: list[Iteration] = []
-        self._session = session
-
-    def on_iteration(self, iteration: Iteration) -> None:
-        self.iterations.append(iteration)
-        if iteration.stage == "flow":
-            self._session.on_iteration(iteration)
-
-    def on_fit_end(self, outcome: str) -> None:
-        if self.iterations and not self.iterations[-1].outcome:
-            self.iterations[-1] = self.iterations[-1]._replace(outcome=outcome)
-        self._session.on_fit_end(outcome)
-
-
-def _train(
-    procedure: StagedTraining,
-    start: TrainingState,
-    records: _Records,
-    evaluate: Callable[[Moment, TrainingState], Landscape],
-) -> tuple[list[Landscape], str]:
-    """Train flow and area to the end or to a divergence; return landscapes and outcome."""
-    trainer = Trainer(procedure, None, records.on_iteration, records.on_fit_end)
-    tasks = [step.task for step in procedure.steps(start)]
-    landscapes = []
-    try:
-        try:
-            state = trainer.run(start, until=1)
-        except SolveError:  # at the initial parameters
-            landscapes.append(evaluate("initial", start))
-            raise
-        landscapes.append(evaluate("initial", state))
-        state = trainer.run(state, until=tasks.index("coupling") + 1)
-        landscapes.append(evaluate("coupled", state))
-        trainer.run(state, until=tasks.index("temporal_pressure"))
-    except SolveError:
-        return landscapes, _describe_divergence(records.iterations)
-    return landscapes, "trained"
 
 
 def _evaluate(
@@ -366,12 +324,3 @@ def _evaluate(
     error = relative_error(compared("area", area), compared("area", cases.area))
     along = amplitudes(around["amplitude"], around["points"])
     return Landscape(name, moment, along, losses, error)
-
-
-def _describe_divergence(iterations: list[Iteration]) -> str:
-    """Describe where training diverged, from the iterations before."""
-    if not iterations:
-        return "diverged at the first parameters"
-    last = iterations[-1]
-    stage = last.stage.replace("_", " ")
-    return f"diverged after {stage}, epoch {last.epoch}, batch {last.batch}"

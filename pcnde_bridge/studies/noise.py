@@ -21,7 +21,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs
-from pcnde_bridge.model.kinds import solve
+from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.studies._shared import check_single
 
@@ -136,14 +136,14 @@ def noise_study(
     count = -(-(samples + 1) // _BLOCK)
     size = -(-(samples + 1) // count)
     exact = count * size - samples
-    inflow, area_undeformed = noisy_inputs(case, noisy, level, samples, seed, exact)
-    trained = (model.engine, model.config, model.parameters)
-    blocks = {i: slice(i, i + size) for i in range(0, count * size, size)}
+    inflow, area = noisy_inputs(case, noisy, level, samples, seed, exact)
+    trained = model.engine, model.config, model.parameters
     tasks = {
-        f"samples from {i}": (*trained, Inputs(inflow[rows], area_undeformed[rows], case.grid))
-        for i, rows in blocks.items()
+        f"samples from {rows[0]}": (*trained, Inputs(inflow[rows], area[rows], case.grid))
+        for rows in np.split(np.arange(count * size), count)
     }
-    solutions = each(solve, tasks, executor, progress=False)
+    predict = kind_of(model.config).predict
+    solutions = [found for found, _ in each(predict, tasks, executor, progress=False)]
     values = {
         name: np.concatenate(arrays)
         for name, arrays in zip(VARIABLES, zip(*solutions, strict=True), strict=True)

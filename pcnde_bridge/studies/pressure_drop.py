@@ -10,9 +10,8 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import Physics
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.selection import case_keys
 from pcnde_bridge.hemodynamics import pressure_losses
-from pcnde_bridge.model.metrics import POOLED, relative_error
+from pcnde_bridge.model.metrics import case_table, relative_error
 from pcnde_bridge.studies._shared import check_shape
 
 _PHYSICS = Physics()
@@ -46,16 +45,14 @@ class PressureDrops:
             ``empirical``, and ``overestimated``: the fraction of time points at which the
             formula gives more than the truth.
         """
-        names = ["geometry", "waveform"]
-        keys = case_keys(self.cases.labels)
-        index = pd.MultiIndex.from_tuples([*keys, (POOLED, POOLED)], names=names)
-        subsets = [*(slice(i, i + 1) for i in range(len(keys))), slice(None)]
-        columns = {
-            "model": [relative_error(self.predicted[s], self.truth[s]) for s in subsets],
-            "empirical": [relative_error(self.empirical[s], self.truth[s]) for s in subsets],
-            "overestimated": [np.mean(self.empirical[s] > self.truth[s]) for s in subsets],
-        }
-        return pd.DataFrame(columns, index)
+        return case_table(
+            lambda s: {
+                "model": relative_error(self.predicted[s], self.truth[s]),
+                "empirical": relative_error(self.empirical[s], self.truth[s]),
+                "overestimated": np.mean(self.empirical[s] > self.truth[s]),
+            },
+            self.cases,
+        )
 
 
 def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -> PressureDrops:
@@ -88,8 +85,7 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
     flow, healthy = cases.flow[np.arange(len(cases)), :, throat], cases.area_undeformed[:, :1]
     narrowest = cases.area_undeformed.min(axis=1)[:, None]
     blood = physics.density, physics.viscosity, physics.turbulent_coefficient
-    empirical: Array = pressure_losses.pressure_drop(
-        flow, healthy, narrowest, physics.stenosis_length, *blood
-    )
+    vessel = healthy, narrowest, physics.stenosis_length
+    empirical: Array = pressure_losses.pressure_drop(flow, *vessel, *blood)
     truth, predicted = (p[:, :, first] - p[:, :, second] for p in (cases.pressure, pressure))
     return PressureDrops(cases, truth, predicted, empirical)

@@ -39,8 +39,8 @@ def test_a_sweep(small_cases, other_period, config, engine):
     # Before anything is fitted.
     for arguments, message in (
         ((train, other_period, configs), r"bring the cases to the model's grid \(train.time\)"),
-        ((None, held, configs), "needs Cases as train, got NoneType"),
-        ((train, held.flow, configs), "needs Cases as held_out, got ndarray"),
+        ((None, held, configs), "train must be Cases, got NoneType"),
+        ((train, held.flow, configs), "held_out must be Cases, got ndarray"),
         ((train, held, "fast"), "needs a mapping of names"),
     ):
         with pytest.raises(InputError, match=message):

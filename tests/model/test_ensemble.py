@@ -219,7 +219,7 @@ def test_arguments_of_an_ensemble(small_cases, config, engine):
     ):
         with pytest.raises(InputError, match=message):
             Ensemble.fit(small_cases, config, engine, **change)
-    with pytest.raises(InputError, match="needs a Cases"):
+    with pytest.raises(InputError, match="must be Cases, got list"):
         Ensemble.fit([1], config, engine)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from pcnde_bridge import InputError
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.units import stated_units
 from pcnde_bridge.model.inputs import check_plausible, inputs_from_arrays
 from pcnde_bridge.uncertainty.novelty import Novelty
 
@@ -20,9 +21,9 @@ def check(small_cases):
     def check(flow=1.0, of_area=1.0, z=1.0, time=1.0, change=None, units=None):
         s_u = of_area * area if change is None else change(area)
         grid = small_cases.z * z, time * small_cases.period
-        given = inputs_from_arrays(flow * inflow, s_u, *grid, units, small_cases.grid, True)
-        known = set(units or ()) if not isinstance(units, str) else {"flow", "area", "z", "time"}
-        check_plausible(given, known, lambda s: novelty.score(given.inflow, s, given.grid.z)[1])
+        given = inputs_from_arrays(small_cases.grid, True, flow * inflow, s_u, *grid, units)
+        chosen = np.ones(len(given), dtype=bool)
+        check_plausible(given, chosen, stated_units(units), novelty)
         return given
 
     return check

@@ -50,7 +50,7 @@ def without_pressure(small_model):
 
 @pytest.mark.parametrize("cases", [None, "published", np.zeros((2, 3, 4))])
 def test_fit_needs_cases(cases):
-    with pytest.raises(InputError, match=r"needs a Cases, got .*load_cases"):
+    with pytest.raises(InputError, match=r"must be Cases, got .*load_cases"):
         PCNDE.fit(cases, engine="jax")
 
 
@@ -372,7 +372,7 @@ def test_masked_and_complex_inputs_are_refused(small_model, small_cases):
         small_model.predict(np.ma.masked_array(q, np.arange(20) == 3), s_u)
     with pytest.raises(InputError, match="inflow must hold real numbers"):
         small_model.predict(q + 1j, s_u)
-    with pytest.raises(InputError, match="evaluate needs Cases"):
+    with pytest.raises(InputError, match="must be Cases, got ndarray"):
         small_model.evaluate(q)
 
 

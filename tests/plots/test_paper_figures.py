@@ -145,7 +145,7 @@ def test_unsuitable_figures_are_left_out_or_rejected(data, tmp_path, without_pic
         made = make_figures(data, tmp_path)
     left = {result.figure.name: result.reason for result in made if result.reason}
     assert list(left) == ["fourier-effect"]
-    assert "no Fourier stage" in left["fourier-effect"]
+    assert "needs the paper's equations" in left["fourier-effect"]
 
 
 def test_divergence_affects_one_figure_only(data, tmp_path, without_pictures, monkeypatch):

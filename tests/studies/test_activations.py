@@ -90,7 +90,7 @@ def test_activations_need_the_models_grid(toy_model, small_cases, other_period):
 
 def test_physics_models_have_neither_network_nor_fourier_stage(small_cases, toy_model):
     toy_model.config = PHYSICS
-    with pytest.raises(InputError, match="no pressure network"):
+    with pytest.raises(InputError, match="needs the paper's equations"):
         activation_study(toy_model, small_cases)
-    with pytest.raises(InputError, match="no Fourier stage"):
+    with pytest.raises(InputError, match="needs the paper's equations"):
         fourier_effect(toy_model, small_cases)
