@@ -137,7 +137,7 @@ def test_unsuitable_figures_are_left_out_or_rejected(data, tmp_path, without_pic
     data.model.config = PHYSICS.replace()
     data.__dict__["_predicted"] = Shifted().predict(data.cases)
     chosen = [name for name in ALWAYS if not name.startswith("noise")]
-    with pytest.raises(InputError, match="fourier-effect: A model of the preset physics"):
+    with pytest.raises(InputError, match="fourier-effect: This study needs the paper's equations"):
         make_figures(data, tmp_path, only=chosen)
     entries = tuple(figure for figure in FIGURES if figure.name in chosen)
     with pytest.MonkeyPatch.context() as patch:
