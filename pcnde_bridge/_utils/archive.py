@@ -116,10 +116,9 @@ def interpreting(where: StrPath, what: str) -> Iterator[None]:
         yield
     except FileError:
         raise
-    except KeyError as error:
-        raise FileError(f"{where} is not a complete {what}: it lacks {error}.") from error
-    except (TypeError, ValueError, IndexError, OverflowError) as error:
-        raise FileError(f"{where} is not a complete {what}: {error}.") from error
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else error
+        raise FileError(f"{where} is not a complete {what}: {reason}.") from error
 
 
 def archive_kind(path: StrPath) -> str | None:

@@ -53,19 +53,16 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     ...     temporary.write_text("42")
     """
     target, temporary = _target_and_temporary(path)
-    try:
-        _create(temporary)
-        yield temporary
-        with temporary.open("rb+") as handle:
-            os.fsync(handle.fileno())
-        temporary.replace(target)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        # Errors of this package can be OSErrors, too; they already say what is wrong.
-        if isinstance(error, OSError) and not isinstance(error, PCNDEError):
-            raise _cannot_write(path, _reason(error, target)) from error
-        raise
+    with _explaining(path, target.parent):
+        try:
+            temporary.touch(exist_ok=False)  # with the usual permissions, unlike tempfile's
+            yield temporary
+            with temporary.open("rb+") as handle:
+                os.fsync(handle.fileno())
+            temporary.replace(target)
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
 
 
 def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:
@@ -105,12 +102,10 @@ def check_writable(path: StrPath, size: int = 0) -> None:
         If the file cannot be written, or too little space is free.
     """
     target, temporary = _target_and_temporary(path)
-    try:
-        _create(temporary)
+    with _explaining(path, target.parent):
+        temporary.touch(exist_ok=False)
         temporary.unlink()
         free = shutil.disk_usage(target.parent).free
-    except OSError as error:
-        raise _cannot_write(path, _reason(error, target)) from error
     if free < size:
         raise _cannot_write(
             path,
@@ -159,23 +154,25 @@ def _target_and_temporary(path: StrPath) -> tuple[Path, Path]:
     return target, target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
 
 
-def _create(path: Path) -> None:
-    """Create an empty file with the usual permissions, unlike ``tempfile.mkstemp``."""
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-
-
 def _cannot_write(path: StrPath, reason: str) -> FileError:
     return FileError(f"cannot write {str(path)!r}: {reason}")
 
 
-def _reason(error: OSError, target: Path) -> str:
-    """Return in words why a file could not be written."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "the disk is full; free some space or choose another folder"
-    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"no permission to write in {str(target.parent)!r}; choose another folder"
-    # h5py adds lines of addresses to the message.
-    return os.strerror(error.errno) if error.errno else str(error)
+@contextlib.contextmanager
+def _explaining(path: StrPath, folder: Path) -> Iterator[None]:
+    """Say in words why a file could not be written."""
+    try:
+        yield
+    except PCNDEError:  # which can be an OSError, too
+        raise
+    except OSError as error:
+        # h5py adds lines of addresses to the message.
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            reason = "the disk is full; free some space or choose another folder"
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            reason = f"no permission to write in {str(folder)!r}; choose another folder"
+        raise _cannot_write(path, reason) from error
 
 
 @contextlib.contextmanager
@@ -234,27 +231,8 @@ def as_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:
     return [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
 
 
-def check_claim(claimed: int, stored: int) -> None:
-    """Refuse contents that would be much larger in memory than the file that holds them.
-
-    Parameters
-    ----------
-    claimed : int
-        Bytes that the contents would take in memory.
-    stored : int
-        Bytes of the file.
-
-    Raises
-    ------
-    ValueError
-        If they are more than 24 MiB and more than four times the file.
-    """
-    if claimed > max(_LARGEST_UNPACKED, _LARGEST_RATIO * stored):
-        raise ValueError(f"it claims {claimed} bytes in a file of {stored}")
-
-
 class Budget:
-    """Memory that the contents of one file may take, see :func:`check_claim`.
+    """Memory that the contents of one file may take: 24 MiB, or four times the file if larger.
 
     Parameters
     ----------
@@ -274,7 +252,8 @@ class Budget:
             If all claims together are too large for the file.
         """
         self._claimed += count
-        check_claim(self._claimed, self._stored)
+        if self._claimed > max(_LARGEST_UNPACKED, _LARGEST_RATIO * self._stored):
+            raise ValueError(f"it claims {self._claimed} bytes in a file of {self._stored}")
 
 
 def check_members(archive: zipfile.ZipFile, stored: int) -> None:
@@ -295,7 +274,7 @@ def check_members(archive: zipfile.ZipFile, stored: int) -> None:
     for name in archive.namelist():
         if name.startswith(("/", "\\")) or ".." in name.replace("\\", "/").split("/"):
             raise ValueError(f"its member {name!r} leads out of it")
-    check_claim(sum(member.file_size for member in archive.infolist()), stored)
+    Budget(stored).claim(sum(member.file_size for member in archive.infolist()))
 
 
 def cache_folder(cache: StrPath | None) -> Path:

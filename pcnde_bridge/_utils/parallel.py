@@ -33,12 +33,12 @@ import operator
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypedDict, TypeVar
+from typing import Any, NamedTuple, TypedDict, TypeVar
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.progress import TaskProgress
@@ -48,8 +48,17 @@ from pcnde_bridge.errors import InputError, PCNDEError, TaskError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-Workers = Executor | Callable[[], Executor]
-"""An executor, or a function that creates one, such as :func:`processes`."""
+
+
+class _Processes(NamedTuple):
+    """Processes of :func:`processes`: one pool each, so that a death costs one task alone."""
+
+    workers: int
+    pool: Callable[[], Executor]
+
+
+Workers = Executor | _Processes
+"""An executor, or the processes of :func:`processes`."""
 
 
 class RunOptions(TypedDict, total=False):
@@ -63,11 +72,7 @@ class RunOptions(TypedDict, total=False):
 
 _NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # also usable as the name of a file
 _DIED = "its worker process died"
-_BROKEN = (
-    "a worker process died, and its pool with it; pass a function that creates pools, such as "
-    "processes(2)"
-)
-_Finished = Generator[tuple[str, Any, str | None], None, None]  # name, result, reason of failure
+_BROKEN = "a worker process died, and its pool with it; pass processes(2), which replaces it"
 
 _log = logging.getLogger("pcnde_bridge")
 
@@ -106,8 +111,8 @@ class Outcome:
         return f"{len(self.failures)} of {total} tasks failed ({reasons})."
 
 
-def processes(workers: int, threads: int | None = 1) -> Callable[[], Executor]:
-    """Return a function that creates a pool of processes on this machine.
+def processes(workers: int, threads: int | None = 1) -> _Processes:
+    """Return processes on this machine, each of which is replaced when it dies.
 
     Parameters
     ----------
@@ -123,7 +128,8 @@ def processes(workers: int, threads: int | None = 1) -> Callable[[], Executor]:
     """
     workers = whole("workers", workers, 1)
     spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
-    return partial(futures.ProcessPoolExecutor, workers, spawn, _set_threads, (threads,))
+    pool = partial(futures.ProcessPoolExecutor, 1, spawn, _set_threads, (threads,))
+    return _Processes(workers, pool)
 
 
 def _set_threads(threads: int | None) -> None:
@@ -152,10 +158,9 @@ def run(
     tasks : mapping
         Tasks by name, for messages and files: up to 200 letters, digits, spaces and
         ``._,=+-``.
-    executor : Executor, or callable that creates one, optional
-        None runs the tasks one after the other in this process.  For a pool of processes
-        give the callable that :func:`processes` returns: a pool is unusable after one of
-        its processes died.
+    executor : Executor, or the result of :func:`processes`, optional
+        None runs the tasks one after the other in this process.  Prefer :func:`processes` to
+        a pool: a pool is unusable after one of its processes died.
     retries : int
         Number of times that a failed task is repeated.  Errors of this package are
         reported at once, because they would occur again.
@@ -200,7 +205,7 @@ def run(
     results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
     failures: dict[str, str] = {}
     missing = {name: task for name, task in tasks.items() if name not in results}
-    finished = _Run(function, missing, executor, retries).results()
+    finished = _finished(function, missing, executor, retries)
     shown = TaskProgress(len(tasks), len(results), progress)
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
     with contextlib.closing(finished), shown as bar:
@@ -248,119 +253,70 @@ def _words(error: BaseException) -> str:
     return str(error) if isinstance(error, PCNDEError) else f"{type(error).__name__}: {error}"
 
 
-class _ThisProcess(Executor):
-    """Executor that runs each task when it is submitted."""
-
-    _max_workers = 1
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future = Future[Any]()
-        try:
-            future.set_result(function(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-class _Run:
-    """Tasks on an executor, with a new pool whenever a worker process dies.
-
-    A process that dies takes its pool and the tasks of all its processes with it, and it is
-    unknown which task was the cause.  Each of these suspects is then repeated alone in a new
-    pool; only a task that breaks a pool alone has failed.
-    """
-
-    def __init__(
-        self,
-        function: Callable[[Any], Any],
-        tasks: Mapping[str, Any],
-        executor: Workers | None,
-        retries: int,
-    ) -> None:
-        self._function, self._tasks, self._retries = function, tasks, retries
-        executor = executor or _ThisProcess()
-        self._create = None if isinstance(executor, Executor) else executor
-        self._pool = executor if isinstance(executor, Executor) else executor()
-        # Pools know their size; dask has none, and its scheduler has a queue of its own.
-        self._width = getattr(self._pool, "_max_workers", None) or len(tasks)
-        self._waiting, self._suspects = deque(tasks), deque[str]()
-        self._running: dict[Future[Any], str] = {}
-        self._failed: Counter[str] = Counter()
-
-    def results(self) -> _Finished:
-        """Yield the outcome of each task when it is known."""
-        complete = False
-        try:
-            while self._waiting or self._suspects or self._running:
-                lost: dict[str, BaseException] = {}
-                if self._submit():
-                    lost = yield from self._collect()
-                    if not lost:
-                        continue
-                if self._create is None:
-                    yield from ((name, None, _BROKEN) for name in (*lost, *self._waiting))
-                    return
-                yield from self._blame(lost)
-                self._pool.shutdown(wait=False)
-                self._pool = self._create()
-            complete = True
-        finally:
-            self._close(complete)
-
-    def _submit(self) -> bool:
-        """Keep the pool busy; return False if it is broken and nothing runs in it."""
-        queue, most = (self._suspects, 1) if self._suspects else (self._waiting, self._width)
-        while queue and len(self._running) < most:
-            try:
-                future = self._pool.submit(self._function, self._tasks[queue[0]])
-            except BrokenExecutor:
-                return bool(self._running)
-            self._running[future] = queue.popleft()
-        return True
-
-    def _collect(self) -> Generator[tuple[str, Any, str | None], None, dict[str, BaseException]]:
-        """Yield tasks that finished; return those that were lost with the pool."""
-        done, _ = futures.wait(self._running, return_when=futures.FIRST_COMPLETED)
-        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
-            done, _ = futures.wait(self._running)
-        lost: dict[str, BaseException] = {}
-        for future in done:
-            name, error = self._running.pop(future), future.exception()
-            if error is None:
-                yield name, future.result(), None
-            elif isinstance(error, BrokenExecutor):
-                lost[name] = error
-            elif self._is_final(name, error):
-                yield name, None, _words(error)
-            else:
-                self._waiting.append(name)
-        return lost
-
-    def _blame(self, lost: Mapping[str, BaseException]) -> _Finished:
-        """Yield the task that broke the pool alone once too often; suspect lost tasks otherwise."""
-        if len(lost) == 1 and self._is_final(*next(iter(lost.items()))):
-            yield next(iter(lost)), None, _DIED
-        else:
-            self._suspects.extend(lost)
-
-    def _is_final(self, name: str, error: BaseException) -> bool:
-        """Return whether a task that has failed is not repeated."""
-        self._failed[name] += 1
-        if isinstance(error, PCNDEError) or self._failed[name] > self._retries:
-            return True
-        _log.warning("Task %s failed and is repeated: %s", name, _words(error))
-        return False
-
-    def _close(self, complete: bool) -> None:
-        """Cancel what still runs; a pool that was created here is shut down."""
-        for future in self._running:
+def _finished(
+    function: Callable[[Any], Any], tasks: Mapping[str, Any], executor: Workers | None, retries: int
+) -> Generator[tuple[str, Any, str | None], None, None]:
+    """Yield name, result and reason of failure of each task when they are known."""
+    create = executor.pool if isinstance(executor, _Processes) else None
+    free = _pools(executor, len(tasks))
+    waiting, failed = deque(tasks), Counter[str]()
+    running: dict[Future[Any], tuple[str, Executor | None]] = {}
+    try:
+        while waiting or running:
+            while waiting and free:
+                name, pool = waiting.popleft(), free.pop()
+                running[_submit(pool, function, tasks[name])] = name, pool
+            done, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
+            for future in done:
+                (name, pool), error = running.pop(future), future.exception()
+                broken = isinstance(error, BrokenExecutor)
+                free.append(create() if broken and create else pool)
+                failed[name] += 1
+                if error is None:
+                    yield name, future.result(), None
+                elif broken and not create:
+                    yield name, None, _BROKEN
+                elif isinstance(error, PCNDEError) or failed[name] > retries:
+                    yield name, None, _DIED if broken else _words(error)
+                else:
+                    _log.warning("Task %s failed and is repeated: %s", name, _words(error))
+                    waiting.append(name)
+    finally:
+        for future in running:
             future.cancel()
-        if self._create is None:
-            return
-        # A shutdown that does not wait leaves tasks running, and the interpreter would wait
-        # for them on exit.
-        unwanted = {} if complete else getattr(self._pool, "_processes", None) or {}
-        workers = list(unwanted.values())
-        self._pool.shutdown(wait=complete, cancel_futures=True)
+        if create:
+            _close(free, [pool for _, pool in running.values()])
+
+
+def _pools(executor: Workers | None, most: int) -> list[Executor | None]:
+    """Return one entry for each task that may run at the same time: its pool, or None."""
+    if isinstance(executor, _Processes):
+        return [executor.pool() for _ in range(executor.workers)]
+    # Pools know their size; dask has none, and its scheduler has a queue of its own.
+    return [executor] * (getattr(executor, "_max_workers", most) if executor else 1)
+
+
+def _submit(pool: Executor | None, function: Callable[[Any], Any], task: Any) -> Future[Any]:
+    """Start a task in a pool; without one, or if it is broken, the future is already done."""
+    future = Future[Any]()
+    try:
+        if pool is not None:
+            return pool.submit(function, task)
+        future.set_result(function(task))
+    except Exception as error:
+        future.set_exception(error)
+    return future
+
+
+def _close(idle: Iterable[Any], busy: Iterable[Any]) -> None:
+    """Shut pools down, and end the processes of the busy ones.
+
+    Their tasks would run on otherwise, and the interpreter would wait for them on exit.
+    """
+    for pool in busy:
+        workers = list((getattr(pool, "_processes", None) or {}).values())
+        pool.shutdown(wait=False)
         for worker in workers:
             worker.terminate()
+    for pool in idle:
+        pool.shutdown()

@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.archive import archive_kind, read_archive, write_archive
+from pcnde_bridge._utils.archive import (
+    archive_kind,
+    interpreting,
+    read_archive,
+    write_archive,
+)
 from pcnde_bridge._utils.files import check_writable, make_folder
 from pcnde_bridge.errors import FileError, InputError
 
@@ -60,18 +65,19 @@ class ResultFolder:
             return None
         try:
             facts, arrays = read_archive(path, _KIND, _VERSION, "result")
-            if facts["facts"] != self._facts:
-                raise InputError(
-                    f"{path} is the result of other tasks (other cases, settings or seeds). Give "
-                    "another folder, or remove this one."
-                )
-            values = {_ARRAY + key: value for key, value in facts["values"].items()} | arrays
-            return {key: values[_ARRAY + key] for key in facts["order"]}
+            with interpreting(path, "result"):
+                same = facts["facts"] == self._facts
+                values = {_ARRAY + key: value for key, value in facts["values"].items()} | arrays
+                result = {key: values[_ARRAY + key] for key in facts["order"]}
         except FileError as error:
             _log.warning("%s The task is repeated.", error)
-        except KeyError as error:
-            _log.warning("%s is an incomplete result: %s. The task is repeated.", path, error)
-        return None
+            return None
+        if not same:
+            raise InputError(
+                f"{path} is the result of other tasks (other cases, settings or seeds). Give "
+                "another folder, or remove this one."
+            )
+        return result
 
     def write(self, name: str, result: Any) -> None:
         """Store the result of a task.
@@ -81,21 +87,13 @@ class ResultFolder:
         InputError
             If the result is not a mapping of names to arrays and JSON data.
         """
-        if not isinstance(result, Mapping):
-            raise InputError(
-                f"The result of {name} is {type(result).__name__}; only mappings can be stored in "
-                "a folder."
-            )
-        arrays, values = {}, {}
-        for key, value in result.items():
-            if isinstance(value, np.ndarray):
-                arrays[f"{_ARRAY}{key}"] = value
-            else:
-                values[key] = value.item() if isinstance(value, np.generic) else value
-        content = {"facts": self._facts, "values": values, "order": list(result)}
         try:
-            if not all(isinstance(key, str) for key in result):
-                raise TypeError("a name is not text")
+            if not (isinstance(result, Mapping) and all(isinstance(key, str) for key in result)):
+                raise TypeError("only mappings of names can be stored")
+            arrays = {_ARRAY + k: v for k, v in result.items() if isinstance(v, np.ndarray)}
+            values = {k: v for k, v in result.items() if not isinstance(v, np.ndarray)}
+            values |= {k: v.item() for k, v in values.items() if isinstance(v, np.generic)}
+            content = {"facts": self._facts, "values": values, "order": list(result)}
             write_archive(self._path(name), _KIND, _VERSION, content, arrays)
         except (TypeError, ValueError) as error:
             raise InputError(

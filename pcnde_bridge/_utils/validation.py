@@ -278,7 +278,8 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun if n == 1 else plural}"
 
 
-def listed(values: Sequence[Any], most: int = 10) -> str:
+def listed(values: Sequence[Any], most: int = 10, separator: str = ", ") -> str:
     """Return the first values as text for a message, and how many there are."""
-    text = ", ".join(str(value) for value in values[:most])
-    return text if len(values) <= most else f"{text}, … ({len(values)} in all)"
+    shown = [str(value) for value in values[:most]]
+    more = [f"… ({len(values)} in all)"] if len(values) > most else []
+    return separator.join(shown + more)

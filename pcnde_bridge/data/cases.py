@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from pcnde_bridge._typing import AnyArray, Array, StrPath
-from pcnde_bridge._utils.archive import sha256_arrays
+from pcnde_bridge._utils.archive import sha256_arrays, with_prefix
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases
@@ -170,10 +169,10 @@ class Cases(VesselQuantities):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Cases):
             return NotImplemented
-        return self._checksum == other._checksum
+        return self.fingerprint() == other.fingerprint()
 
     def __hash__(self) -> int:
-        return hash(self._checksum)
+        return hash(self.fingerprint())
 
     def fingerprint(self) -> str:
         """Return a checksum of all numbers and labels.
@@ -184,10 +183,6 @@ class Cases(VesselQuantities):
             64 hexadecimal digits (SHA-256).  Two data sets are equal exactly if their
             fingerprints are equal.
         """
-        return self._checksum
-
-    @cached_property
-    def _checksum(self) -> str:
         return sha256_arrays(self._contents())
 
     def _contents(self) -> dict[str, AnyArray]:
@@ -329,10 +324,9 @@ class Cases(VesselQuantities):
             If the file is truncated, damaged, foreign, or of a newer version.
         """
         contents = read_cases(path)
-        labels = {k.removeprefix(_LABELS): v for k, v in contents.items() if k.startswith(_LABELS)}
+        arrays = {name: contents[name] for name in UNITS}
         try:
-            arrays = {name: contents[name] for name in UNITS}
-            period = contents["period"].item()
+            period, labels = contents["period"].item(), with_prefix(_LABELS, contents)
             cases = cls(**arrays, period=period, labels=labels, check=False)
         except ValueError as error:
             raise FileError(f"{path} holds data that are not usable: {error}") from error

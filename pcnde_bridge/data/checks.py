@@ -15,6 +15,7 @@ from pcnde_bridge._utils.validation import (
     check_shape,
     check_values,
     counted,
+    finite,
     naming,
     real_array,
 )
@@ -92,10 +93,9 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
         if closed and not steady:
             raise InputError(f"{end_repeated}, or pass period= if it does not")
         return cycle
-    if isinstance(period, bool) or not isinstance(period, (int, float, np.integer, np.floating)):
-        raise InputError(f"period must be a number (s), got {period!r}")
+    period = finite("period", period, "s")
     if abs(cycle - period) <= 1e-6 * abs(period):
-        return float(period)
+        return period
     if abs(cycle - step - period) <= 1e-3 * step:
         why = end_repeated
     elif abs(cycle + step - period) <= 1e-3 * step:

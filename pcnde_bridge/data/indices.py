@@ -21,6 +21,9 @@ from pcnde_bridge.errors import InputError
 NO_STENOSIS = 0.99
 """Smallest S_u over the healthy area, above which a vessel counts as one without a stenosis."""
 
+Position = npt.ArrayLike | None
+"""Axial position in cm, one for all cases or one for each; None is the default."""
+
 _HEALTHY = 0.999  # share of the healthy area that is reached at the end of a narrowing
 
 
@@ -180,10 +183,7 @@ class VesselQuantities:
             """Labels, one row for each case."""
 
     def pressure_drop(
-        self,
-        proximal: npt.ArrayLike | None = None,
-        distal: npt.ArrayLike | None = None,
-        units: str = "dyn/cm^2",
+        self, proximal: Position = None, distal: Position = None, units: str = "dyn/cm^2"
     ) -> Array:
         """Return the pressure drop between two positions, p(proximal) − p(distal).
 
@@ -210,9 +210,7 @@ class VesselQuantities:
         drop = pressure_drop(self._given_pressure(), self.z, *positions)
         return np.asarray(drop / FACTORS["pressure"][units])
 
-    def ffr(
-        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
-    ) -> Array:
+    def ffr(self, proximal: Position = None, distal: Position = None) -> Array:
         """Return the fractional flow reserve, the ratio of the mean pressures over a cycle.
 
         It is p̄(distal)/p̄(proximal), dimensionless, after Pijls et al. (1996, New England
@@ -236,9 +234,7 @@ class VesselQuantities:
         positions = self._positions(proximal, distal)
         return np.asarray(1 - one_minus_ffr(self._given_pressure(), self.z, *positions))
 
-    def pressure_ratio(
-        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
-    ) -> Array:
+    def pressure_ratio(self, proximal: Position = None, distal: Position = None) -> Array:
         """Return the instantaneous pressure ratio p(distal)/p(proximal), dimensionless.
 
         Parameters
@@ -255,15 +251,10 @@ class VesselQuantities:
         InputError
             If there is no pressure, or a position is not usable.
         """
-        pressure = self._given_pressure()
-        upstream, downstream = (
-            values_at(pressure, self.z, position) for position in self._positions(proximal, distal)
-        )
-        return np.asarray(downstream / upstream)
+        pressure, (upstream, downstream) = self._given_pressure(), self._positions(proximal, distal)
+        return values_at(pressure, self.z, downstream) / values_at(pressure, self.z, upstream)
 
-    def stenosis_resistance(
-        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
-    ) -> Array:
+    def stenosis_resistance(self, proximal: Position = None, distal: Position = None) -> Array:
         """Return the transstenotic resistance, mean pressure drop over mean flow, dyn·s/cm⁵.
 
         The flow is that at the proximal position; both means are over a cycle.
@@ -322,9 +313,7 @@ class VesselQuantities:
         radius = diameter(self.area) / 2
         return np.asarray(4 * viscosity * self.flow / (math.pi * radius**3))
 
-    def indices(
-        self, proximal: npt.ArrayLike | None = None, distal: npt.ArrayLike | None = None
-    ) -> pd.DataFrame:
+    def indices(self, proximal: Position = None, distal: Position = None) -> pd.DataFrame:
         """Return hemodynamic indices, one row for each case.
 
         Parameters
@@ -362,20 +351,14 @@ class VesselQuantities:
     def _index_values(self, proximal: Array, distal: Array) -> dict[str, Array]:
         """Return the columns of :meth:`indices` that depend on the samples, each (case,)."""
         flow = values_at(self.flow, self.z, proximal)
-        found = {
-            "mean_flow": flow.mean(axis=1),
-            "peak_flow": flow.max(axis=1),
-            "peak_velocity": self.velocity().max(axis=(1, 2)),
-            "peak_reynolds": self.reynolds().max(axis=(1, 2)),
-        }
+        found = {"mean_flow": flow.mean(axis=1), "peak_flow": flow.max(axis=1)}
+        found["peak_velocity"] = self.velocity().max(axis=(1, 2))
+        found["peak_reynolds"] = self.reynolds().max(axis=(1, 2))
         if self.pressure is not None:
             drop = self.pressure_drop(proximal, distal, "mmHg")
-            found |= {
-                "mean_drop_mmHg": drop.mean(axis=1),
-                "peak_drop_mmHg": drop.max(axis=1),
-                "ffr": self.ffr(proximal, distal),
-                "resistance": self.stenosis_resistance(proximal, distal),
-            }
+            found |= {"mean_drop_mmHg": drop.mean(axis=1), "peak_drop_mmHg": drop.max(axis=1)}
+            found["ffr"] = self.ffr(proximal, distal)
+            found["resistance"] = self.stenosis_resistance(proximal, distal)
         return found
 
     def _given_pressure(self) -> Array:
@@ -383,9 +366,7 @@ class VesselQuantities:
             raise InputError("There is no pressure: the model has no pressure stages.")
         return self.pressure
 
-    def _positions(
-        self, proximal: npt.ArrayLike | None, distal: npt.ArrayLike | None
-    ) -> tuple[Array, Array]:
+    def _positions(self, proximal: Position, distal: Position) -> tuple[Array, Array]:
         """Return the positions of every case, (case,): those given, else the default."""
         upstream, downstream = measuring_positions(self.z, self.area_undeformed)
         if proximal is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -36,17 +36,14 @@ def check_labels(
     except (ValueError, TypeError) as error:
         raise InputError(f"labels cannot be converted to a DataFrame: {error}") from error
     _check_table(given, n_cases)
-    columns: dict[str, AnyArray | list[str]] = {
-        name: _whole_numbers(name, given[name]) for name in ("geometry", "waveform")
-    }
-    columns["blockage"] = (
-        _blockages(given["blockage"])
-        if "blockage" in given
-        else 1.0 - area_undeformed.min(axis=1) / area_undeformed[:, 0]
+    if "blockage" not in given:
+        given = given.assign(blockage=1.0 - area_undeformed.min(axis=1) / area_undeformed[:, 0])
+    table = pd.DataFrame(
+        {
+            name: _COLUMNS.get(name, _label_values)(name, given[name])
+            for name in dict.fromkeys((*_COLUMNS, *given.columns))
+        }
     )
-    rest = [name for name in given.columns if name not in columns]
-    columns.update({name: _label_values(name, given[name]) for name in rest})
-    table = pd.DataFrame(columns)
     pairs = pd.MultiIndex.from_frame(table[["geometry", "waveform"]])
     if not pairs.is_unique:
         again = _second(pairs)
@@ -84,43 +81,44 @@ def _second(index: pd.Index[Any]) -> int:
 def _whole_numbers(name: str, column: pd.Series[Any]) -> AnyArray:
     values = column.to_numpy()
     for row, value in enumerate(values):
-        if not _is_whole(value):
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (number and float(value).is_integer()):
             raise InputError(f"labels[{name!r}][{row}] is {value!r}; {name} must be a whole number")
     return values.astype(np.int64)
 
 
-def _is_whole(value: Any) -> bool:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return number and float(value).is_integer()
-
-
-def _blockages(column: pd.Series[Any]) -> AnyArray:
+def _blockages(name: str, column: pd.Series[Any]) -> AnyArray:
     try:
         values = column.to_numpy(dtype=np.float64, na_value=np.nan)
     except (ValueError, TypeError) as error:
-        raise InputError(f"labels['blockage'] must hold numbers: {error}") from error
-    unknown = np.isnan(values)
-    check_values(
-        "labels['blockage']",
-        values,
-        ~unknown & ~((values >= 0) & (values < 1)),
-        "blockage is a fraction of the area, at least 0 and below 1, or NaN where unknown",
-    )
-    # A single NaN, whatever its bits were, so that equal tables have equal checksums.
-    return np.where(unknown, np.nan, values)
+        raise InputError(f"labels[{name!r}] must hold numbers: {error}") from error
+    wrong = (values < 0) | (values >= 1)
+    rule = "blockage is a fraction of the area, at least 0 and below 1, or NaN where unknown"
+    check_values(f"labels[{name!r}]", values, wrong, rule)
+    return _one_nan(values)
+
+
+def _one_nan(values: AnyArray) -> AnyArray:
+    """Replace every NaN by the same bits, so that equal tables have equal checksums."""
+    return np.where(np.isnan(values), np.nan, values).astype(np.float64)
 
 
 def _label_values(name: str, column: pd.Series[Any]) -> AnyArray | list[str]:
     values = column.to_numpy()
-    if values.dtype.kind == "b":
-        return values.astype(np.bool_)
-    if values.dtype.kind in "iu":
-        return values.astype(np.int64)
+    if values.dtype.kind in "biu":
+        return values.astype(np.bool_ if values.dtype.kind == "b" else np.int64)
     if values.dtype.kind == "f":
-        return np.where(np.isnan(values), np.nan, values).astype(np.float64)
+        return _one_nan(values)
     for row, value in enumerate(values):
         # A file can store neither a NUL character nor half a surrogate pair.
         if not isinstance(value, str) or "\0" in value or _SURROGATE.search(value):
             what = "a column of labels must hold numbers throughout or plain text throughout"
             raise InputError(f"labels[{name!r}][{row}] is {value!r}; {what}")
     return [str(value) for value in values]
+
+
+_COLUMNS: dict[str, Callable[[str, pd.Series[Any]], AnyArray]] = {
+    "geometry": _whole_numbers,
+    "waveform": _whole_numbers,
+    "blockage": _blockages,
+}

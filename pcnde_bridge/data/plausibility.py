@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
 from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
+_ROOT = math.sqrt(math.pi) / 2  # root of the area over the diameter
+_BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
 
 
 class _Range(NamedTuple):
@@ -40,33 +42,31 @@ _RANGES = (
     _Range("the length of the recording", " s", 0.25, 60, {"time": 1}),
     _Range("the area over the undeformed area", "", 0.6, 1.55, {"ratio": 1, "area": 0}),
     _Range("flow over area", " cm/s", 1, 100, {"flow": 1, "area": -1}),
-    _Range(
-        "the Reynolds number",
-        "",
-        4,
-        6000,
-        {"flow": 1, "area": -0.5},
-        2 / (math.sqrt(math.pi) * _VISCOSITY),
-    ),
-    _Range(
-        "the length over the diameter",
-        "",
-        2.5,
-        100,
-        {"z": 1, "area": -0.5},
-        math.sqrt(math.pi) / 2,
-    ),
-    _Range(
-        "inflow less outflow, over the growth of the volume,",
-        "",
-        0.4,
-        4,
-        {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1},
-    ),
+    _Range("the Reynolds number", "", 4, 6000, {"flow": 1, "area": -0.5}, 1 / (_ROOT * _VISCOSITY)),
+    _Range("the length over the diameter", "", 2.5, 100, {"z": 1, "area": -0.5}, _ROOT),
+    _Range("inflow less outflow, over the growth of the volume,", "", 0.4, 4, _BALANCE),
 )
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
+_TRANSPOSED = (
+    "The arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
+    "np.swapaxes(array, -1, -2)."
+)
 
-_Bounds = tuple[_Range, float, float]
+
+class _Measured(NamedTuple):
+    """Least and largest value of a number among the vessels, beside its usual range."""
+
+    usual: _Range
+    low: float
+    high: float
+
+    def is_usual(self, units: Mapping[str, str]) -> bool:
+        """Return whether both are in the range if the quantities have these units."""
+        powers = (FACTORS[n][unit] ** self.usual.powers.get(n, 0) for n, unit in units.items())
+        factor = math.prod(powers)
+        low, high = self.low * factor, self.high * factor
+        return bool(self.usual.low <= low and high <= self.usual.high)
+
 
 Sizes = dict[str, Array]
 """Measured quantities by name, one number for each vessel; NaN is unknown."""
@@ -193,11 +193,15 @@ def check_units(
             f"the mean pressure is {sizes['pressure'].min():.4g}; pressures must be relative to "
             f"the surroundings, as blood pressures are. If they are, {advice.confirm}."
         )
-    bounds = list(_bounds(sizes, open_))
-    right = _usual(bounds, {})
+    measured = list(_measured(sizes, open_))
+
+    def all_usual(units: Mapping[str, str]) -> bool:
+        return all(number.is_usual(units) for number in measured)
+
+    right = all_usual({})
     if right and not unique:
         return
-    others = [units for units in _combinations(open_) if units and _usual(bounds, units)]
+    others = [units for units in _combinations(open_) if units and all_usual(units)]
     if right and others:
         raise InputError(
             "the units are ambiguous: the numbers are usual in CGS units, and with "
@@ -207,8 +211,8 @@ def check_units(
     doubts = [
         f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
         f"{usual.low:g} to {usual.high:g}"
-        for usual, low, high in bounds
-        if _unusual(usual, low, high) and (others or "balance" not in usual.powers)
+        for usual, low, high in (number for number in measured if not number.is_usual({}))
+        if others or "balance" not in usual.powers
     ]
     if not doubts:
         return
@@ -226,40 +230,26 @@ def check_units(
     )
 
 
-def _bounds(sizes: Sizes, open_: Collection[str]) -> Iterator[_Bounds]:
-    """Yield the least and the largest number of the vessels for each range to check."""
+def _measured(sizes: Sizes, open_: Collection[str]) -> Iterator[_Measured]:
+    """Measure the numbers that depend on quantities with open units."""
     for usual in _RANGES:
         names = usual.powers.keys()
         if names & {*open_} and names <= sizes.keys():
             powers = [sizes[name] ** power for name, power in usual.powers.items()]
             values = usual.factor * math.prod(powers)
             if not np.isnan(values).all():
-                yield usual, float(np.nanmin(values)), float(np.nanmax(values))
+                yield _Measured(usual, float(np.nanmin(values)), float(np.nanmax(values)))
 
 
 def _combinations(names: Collection[str]) -> Iterator[dict[str, str]]:
     """Yield all combinations of units, by the quantities that are not in CGS."""
-    choices = []
-    for name in names:
-        # Of units with the same factor, such as mL/s and cm^3/s, the first one is used.
-        units = {factor: unit for unit, factor in reversed(list(FACTORS[name].items()))}
-        choices.append([(name, unit) for unit in units.values()])
-    for combination in itertools.product(*choices):
-        yield {name: unit for name, unit in combination if FACTORS[name][unit] != 1}
-
-
-def _usual(bounds: Iterable[_Bounds], units: Mapping[str, str]) -> bool:
-    """Return whether all numbers are usual if the quantities have these units."""
-    for usual, low, high in bounds:
-        powers = (FACTORS[n][unit] ** usual.powers.get(n, 0) for n, unit in units.items())
-        factor = math.prod(powers)
-        if _unusual(usual, low * factor, high * factor):
-            return False
-    return True
-
-
-def _unusual(usual: _Range, low: float, high: float) -> bool:
-    return low < usual.low or high > usual.high
+    # Of units with the same factor, such as mL/s and cm^3/s, the first one is used.
+    choices = [
+        {f: unit for unit, f in reversed([*FACTORS[name].items()])}.values() for name in names
+    ]
+    for units in itertools.product(*choices):
+        found = dict(zip(names, units, strict=True))
+        yield {name: unit for name, unit in found.items() if FACTORS[name][unit] != 1}
 
 
 def _stated(units: Mapping[str, str]) -> tuple[str, str]:
@@ -275,6 +265,10 @@ def _listed(readings: Sequence[Mapping[str, str]]) -> str:
     shown = [", ".join(f"{n} in {u}" for n, u in units.items()) for units in readings[:3]]
     more = f", or {len(readings) - 3} other combinations" if readings[3:] else ""
     return f"{', or '.join(shown)}{more}"
+
+
+def _is_constant(flow: Array) -> bool:
+    return bool(np.ptp(flow) <= _DRIFT * np.abs(flow).mean())
 
 
 def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
@@ -305,21 +299,16 @@ def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
         return
     worst = int(np.abs(mean - (inlet if abs(inlet - middle) <= tolerance / 2 else middle)).argmax())
     candidates = (
-        (np.abs(flow).mean(axis=0), "its sign changes along the vessel: give it one sign"),
-        ((flow * area).mean(axis=0), "flow × area is constant: these are velocities, not flows"),
-        (mean[1:-1], "it differs at the ends alone: leave out the end points"),
-        (flow.mean(axis=1) if flow.shape[0] == flow.shape[1] else mean, "transpose"),
+        (
+            np.abs(flow).mean(axis=0),
+            "Its sign seems to change along the vessel: give it one sign.",
+        ),
+        ((flow * area).mean(axis=0), "Probably these are velocities: flow × area is constant."),
+        (mean[1:-1], "Probably it differs at the ends alone: leave out the end points."),
+        (flow.mean(axis=1) if flow.shape[0] == flow.shape[1] else mean, _TRANSPOSED),
+        (np.zeros(1), "Leave out branches, or give the part of one vessel without them."),
     )
-    advice = "Leave out branches, or give the part of one vessel without them."
-    for values, why in candidates:
-        if np.ptp(values) <= _DRIFT * np.abs(values).mean():
-            advice = f"Probably {why}."
-            if why == "transpose":
-                advice = (
-                    "The arrays look transposed, (z, time) in place of (time, z): exchange their "
-                    "last two axes, np.swapaxes(array, -1, -2)."
-                )
-            break
+    advice = next(text for values, text in candidates if _is_constant(values))
     raise InputError(
         f"the mean flow changes along the vessel: {middle:.4g} mL/s in the middle of its range, "
         f"but {mean[worst]:.4g} mL/s at z = {z[worst]:.4g} cm (point {worst}); at most "

@@ -15,6 +15,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import reading
+from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import DataNotFoundError, FileError
 
@@ -26,7 +27,6 @@ DT, PERIOD, DZ = 0.01, 1.0, 0.04
 
 _FLOW, _FORCE, _AREA_UNDEFORMED, _AREA = range(4)
 _CASE = re.compile(r"case_(0|[1-9]\d*)_(0|[1-9]\d*)")
-_MOST_PROBLEMS = 10
 
 
 def read_authors_folder(folder: StrPath) -> Cases:
@@ -74,12 +74,9 @@ def read_authors_folder(folder: StrPath) -> Cases:
         except FileError as error:
             problems.append(str(error))
     if problems:
-        shown = "\n  ".join(problems[:_MOST_PROBLEMS])
-        more = len(problems) - _MOST_PROBLEMS
         raise FileError(
             f"{len(problems)} of {len(cases)} cases in {str(root)!r} cannot be used; get these "
-            f"files again or move their folders away:\n  {shown}"
-            + (f"\n  … and {more} more" if more > 0 else "")
+            "files again or move their folders away:\n  " + listed(problems, separator="\n  ")
         )
     data = np.stack(arrays, axis=1)
     area_undeformed = data[_AREA_UNDEFORMED, :, 0]

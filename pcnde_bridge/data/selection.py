@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+import reprlib
+from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import AnyArray, IntArray
+from pcnde_bridge._typing import IntArray
 from pcnde_bridge._utils.validation import counted, listed
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
 
@@ -61,38 +63,27 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
 
 def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
     """Return the positions for an integer, a slice, a list, a mask or pairs."""
-    count = len(labels)
-    if isinstance(index, slice):
-        try:
-            return np.arange(count)[index]
-        except (TypeError, ValueError) as error:
-            raise InputError(f"the slice {index!r} is not usable: {error}") from error
     if isinstance(index, tuple) and all(np.ndim(i) == 0 for i in index):
         what = f"[{index!r}] for a (geometry, waveform) pair, or {list(index)!r} for positions"
         raise InputError(f"select({index!r}) is ambiguous: write {what}")
+    everything: Positions = np.arange(len(labels))
     try:
+        if isinstance(index, slice):
+            return np.asarray(everything[index])
         asked = np.asarray(index)
-    except ValueError:  # rows of unequal length
-        asked = np.asarray(None)
-    if asked.dtype == bool and asked.ndim == 1:
-        if len(asked) != count:
-            values, cases = counted(len(asked), "value"), counted(count, "case")
-            raise InputError(f"the mask has {values} but there are {cases}")
-        return np.flatnonzero(asked)
-    if asked.ndim == 2:
-        return _of_pairs(labels, _checked_pairs(asked.tolist(), "select"), "select")
-    if asked.ndim > 1 or (asked.size and asked.dtype.kind not in "iu"):
+        if not asked.size:
+            return everything[:0]
+        if asked.dtype.kind == "u" and asked.max() >= len(labels):
+            raise IndexError(f"there is no case {asked.max()}")  # numpy would count from the end
+        if asked.ndim < 2:
+            return np.asarray(everything[np.atleast_1d(asked)])
+    except (IndexError, TypeError, ValueError) as error:
         raise InputError(
-            f"select cannot use {index!r}; give an int, a slice, a list of ints, a boolean "
-            "mask or a list of (geometry, waveform) pairs"
-        )
-    asked = np.atleast_1d(asked)
-    outside = (asked < -count) | (asked >= count)
-    if outside.any():
-        known = f"0 to {count - 1}, or from -{count} to -1"
-        raise InputError(f"there is no case {asked[outside][0]}: positions run from {known}")
-    asked = asked.astype(np.intp)  # before sums that a smaller type cannot represent
-    return np.where(asked < 0, asked + count, asked)
+            f"select cannot use {reprlib.repr(index)} in {counted(len(labels), 'case')}: {error}; "
+            "give an int, a slice, a list of ints, a boolean mask or a list of (geometry, "
+            "waveform) pairs"
+        ) from error
+    return _of_pairs(labels, asked.tolist(), "select")
 
 
 def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
@@ -102,9 +93,8 @@ def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
         if column not in labels:
             known = ", ".join(map(repr, labels.columns))
             raise InputError(f"there is no label {column!r}; the labels are {known}")
-        present = labels[column].to_numpy()
         values = [value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-        hits = [_matches(present, each) for each in values]
+        hits = [_matches(labels[column], each) for each in values]
         absent = [each for each, hit in zip(values, hits, strict=True) if not hit.any()]
         if absent:
             known = listed(pd.unique(labels[column]).tolist())
@@ -113,44 +103,38 @@ def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
     return np.flatnonzero(mask)
 
 
-def _matches(present: AnyArray, value: Any) -> npt.NDArray[np.bool_]:
+def _matches(column: pd.Series[Any], value: Any) -> npt.NDArray[np.bool_]:
     """Mark equal labels; fractions within round-off, so that 0.55 finds 0.55."""
-    if present.dtype.kind == "f" and isinstance(value, (int, float, np.number)):
-        close: npt.NDArray[np.bool_] = np.isclose(present, float(value), atol=1e-12, equal_nan=True)
-        return close
-    return np.array([bool(each == value) for each in present.tolist()])
+    if column.dtype.kind == "f" and isinstance(value, Real):
+        return np.asarray(np.isclose(column, float(value), atol=1e-12, equal_nan=True))
+    return np.asarray(column == value)
 
 
-def _of_pairs(labels: pd.DataFrame, pairs: Sequence[tuple[int, int]], where: str) -> Positions:
-    """Return the positions of (geometry, waveform) pairs, in their order."""
+def _of_pairs(labels: pd.DataFrame, pairs: Any, where: str) -> Positions:
+    """Return the positions of (geometry, waveform) pairs, each given once, in their order."""
+    if isinstance(pairs, str | Mapping) or not hasattr(pairs, "__len__") or len(pairs) == 0:
+        raise InputError(f"{where} must be a non-empty list of [geometry, waveform] pairs")
+    keys: Pairs = []
+    for i, pair in enumerate(pairs):
+        if not (
+            isinstance(pair, list | tuple | np.ndarray)
+            and len(pair) == 2
+            and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in pair)
+        ):
+            what = "[geometry, waveform], two whole numbers"
+            raise InputError(f"{where}, entry {i}, is {pair!r}; write {what}")
+        key = (int(pair[0]), int(pair[1]))
+        if key in keys:
+            raise InputError(f"{where} names {key} twice, the second time as entry {i}")
+        keys.append(key)
     known = {key: i for i, key in enumerate(case_keys(labels))}
-    absent = [pair for pair in pairs if pair not in known]
+    absent = [key for key in keys if key not in known]
     if absent:
         raise InputError(
             f"{where} asks for cases that are not in this data set: (geometry, waveform) = "
             f"{listed(absent)}; see cases.labels"
         )
-    return np.array([known[pair] for pair in pairs], dtype=np.intp)
-
-
-def _checked_pairs(value: Any, where: str) -> Pairs:
-    """Return a list of (geometry, waveform) pairs, each once, as plain integers."""
-    if isinstance(value, (str, Mapping)) or not hasattr(value, "__len__") or len(value) == 0:
-        raise InputError(f"{where} must be a non-empty list of [geometry, waveform] pairs")
-    pairs: Pairs = []
-    for i, pair in enumerate(value):
-        if not (
-            isinstance(pair, (list, tuple, np.ndarray))
-            and len(pair) == 2
-            and all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in pair)
-        ):
-            what = "[geometry, waveform], two whole numbers"
-            raise InputError(f"{where}, entry {i}, is {pair!r}; write {what}")
-        key = (int(pair[0]), int(pair[1]))
-        if key in pairs:
-            raise InputError(f"{where} names {key} twice, the second time as entry {i}")
-        pairs.append(key)
-    return pairs
+    return np.array([known[key] for key in keys], dtype=np.intp)
 
 
 def split_positions(labels: pd.DataFrame, how: Any) -> dict[str, Positions]:
@@ -206,17 +190,16 @@ def _paper_split(labels: pd.DataFrame) -> dict[str, Positions]:
 def _named_split(
     labels: pd.DataFrame, mapping: Mapping[str, Any], name: str
 ) -> dict[str, Positions]:
-    unknown = [key for key in mapping if key not in ("train", "test")]
-    if unknown:
-        known = "the keys are 'train' and 'test'"
-        raise InputError(f"{name} has unknown keys: {listed(unknown)}; {known}")
-    parts: dict[str, Pairs] = {}
+    for key in mapping:
+        if key not in ("train", "test"):
+            raise InputError(f"{name} has the unknown key {key!r}; the keys are 'train' and 'test'")
+    parts = {}
     for key in ("train", "test"):
         if key not in mapping:
             raise InputError(f"{name} has no {key!r}; give it a list of [geometry, waveform] pairs")
-        parts[key] = _checked_pairs(mapping[key], f"{key!r} of {name}")
-    both = [pair for pair in parts["train"] if pair in set(parts["test"])]
-    if both:
-        pairs = f"(geometry, waveform) = {listed(both)}"
+        parts[key] = _of_pairs(labels, mapping[key], f"{key!r} of {name}")
+    both = labels.iloc[np.intersect1d(parts["train"], parts["test"])]
+    if len(both):
+        pairs = f"(geometry, waveform) = {listed(case_keys(both))}"
         raise InputError(f"{name} has cases in both 'train' and 'test': {pairs}")
-    return {key: _of_pairs(labels, pairs, f"{key!r} of {name}") for key, pairs in parts.items()}
+    return parts

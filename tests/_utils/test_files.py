@@ -11,7 +11,6 @@ import pytest
 from pcnde_bridge._utils.files import (
     Budget,
     atomic_write,
-    check_claim,
     check_file,
     reading,
     write_json,
@@ -158,10 +157,10 @@ def enter(path):
 
 
 def test_contents_far_larger_than_their_file_are_refused():
-    check_claim(3 << 23, 1)
-    check_claim(4 << 25, 1 << 25)
+    Budget(1).claim(3 << 23)
+    Budget(1 << 25).claim(4 << 25)
     with pytest.raises(ValueError, match="claims 25165825 bytes in a file of 1"):
-        check_claim((3 << 23) + 1, 1)
+        Budget(1).claim((3 << 23) + 1)
     budget = Budget(1)
     budget.claim(3 << 22)
     budget.claim(3 << 22)

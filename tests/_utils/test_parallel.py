@@ -121,7 +121,7 @@ def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
         outcome = run(kill_once, tasks, executor=pool, progress=False)
         assert outcome.results == {}
         assert list(outcome.failures) == list(tasks)
-        assert "pass a function that creates pools, such as processes(2)" in outcome.failures["t2"]
+        assert "pass processes(2), which replaces it" in outcome.failures["t2"]
         again = run(kill_once, {"t": (None, False)}, executor=pool, progress=False)
         assert list(again.failures) == ["t"]
 
@@ -181,7 +181,7 @@ def test_results_of_other_tasks_are_refused_and_damaged_ones_made_again(tmp_path
         caplog.clear()
         found = run(work, SEEDS, folder=tmp_path, facts=facts, progress=False).check()
         assert same(found, serial)
-        assert "incomplete result" in caplog.text
+        assert "not a complete result" in caplog.text
     (tmp_path / "mine.npz").write_text("not a result")
     remove_results(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.npz"]
@@ -194,7 +194,7 @@ def test_folders_and_names_that_cannot_be_used(tmp_path):
     for name in ("", "../up", ".hidden", "a/b", "a\0", "a" * 300):
         with pytest.raises(InputError, match="cannot name a task"):
             run(refuse, {name: 1}, progress=False)
-    with pytest.raises(InputError, match="only mappings can be stored"):
+    with pytest.raises(InputError, match="only mappings of names can be stored"):
         run(abs, {"a": -1}, folder=tmp_path, progress=False)
 
 

@@ -84,7 +84,7 @@ def test_names_a_wrong_axis_order(small_cases, name, order, found, remedy):
         ),
         ({"period": "1"}, r"period must be a number \(s\), got '1'"),
         ({"period": True}, r"period must be a number \(s\)"),
-        ({"period": np.nan}, "period is nan s"),
+        ({"period": np.nan}, r"period must be finite \(s\), got nan"),
         (
             {"period": 0.5},
             r"20 time points in steps of 0\.05 s give 1 s: time must cover",

@@ -155,8 +155,11 @@ def caps(flow, area):
     [
         (half, r"but 0\\.6 mL/s at z = 8 cm \\(point 8\\).*Leave out branches"),
         (caps, "but 0 mL/s at z = 0 cm.*ends alone: leave out the end points"),
-        (lambda flow, area: flow / area, "these are velocities, not flows"),
-        (lambda flow, area: np.where(np.arange(12) > 7, -flow, flow), "its sign changes along"),
+        (lambda flow, area: flow / area, "these are velocities: flow × area is constant"),
+        (
+            lambda flow, area: np.where(np.arange(12) > 7, -flow, flow),
+            "Its sign seems to change",
+        ),
         (lambda flow, area: flow.T, r"look transposed.*np\\.swapaxes"),
         (lambda flow, area: -flow, "runs against z.*turn it"),
     ],

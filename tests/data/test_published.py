@@ -107,7 +107,7 @@ def test_names_at_most_ten_files(tmp_path):
     with pytest.raises(FileError) as caught:
         read_authors_folder(tmp_path)
     assert str(caught.value).count("There is no file") == 10
-    assert str(caught.value).endswith("… and 3 more")
+    assert str(caught.value).endswith("… (13 in all)")
 
 
 @pytest.mark.data

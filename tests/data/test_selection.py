@@ -69,13 +69,13 @@ def test_select_by_labels(small_cases):
     [
         ((), {}, "neither was given"),
         ((0,), {"geometry": 1}, "both were given"),
-        ((12,), {}, "there is no case 12: positions run from 0 to 11, or from -12 to -1"),
-        (([0, -13],), {}, "there is no case -13"),
+        ((12,), {}, "select cannot use 12 in 12 cases: index 12 is out of bounds"),
+        (([0, -13],), {}, "index -13 is out of bounds"),
         ((slice(5, 5),), {}, "the selection is empty"),
         (([],), {}, "the selection is empty"),
         (([False] * 12,), {}, "the selection is empty"),
-        (([True],), {}, "the mask has 1 value but there are 12 cases"),
-        ((slice("a", None),), {}, "the slice .* is not usable"),
+        (([True],), {}, r"select cannot use \[True\] in 12 cases: boolean index did not match"),
+        ((slice("a", None),), {}, "select cannot use slice.*: slice indices must be"),
         (((1, 2),), {}, r"write \[\(1, 2\)\] for a \(geometry, waveform\) pair, or \[1, 2\] for p"),
         (([1.5],), {}, r"select cannot use \[1\.5\]"),
         (("paper",), {}, "select cannot use 'paper'"),
@@ -127,7 +127,10 @@ def test_split_by_name(small_cases, tmp_path, kind):
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
-        ({"train": [[1, 1]], "tets": []}, "unknown keys: tets; the keys are 'train' and 'test'"),
+        (
+            {"train": [[1, 1]], "tets": []},
+            "unknown key 'tets'; the keys are 'train' and 'test'",
+        ),
         ({"train": [[1, 1]]}, "has no 'test'"),
         ({"test": [[1, 1]]}, "has no 'train'"),
         ({"train": [[1, 1]], "test": []}, "'test' of .* must be a non-empty list"),

@@ -40,7 +40,7 @@ def test_flow_against_z_is_refused_with_both_remedies(vessel):
     for name in VARIABLES:
         assert np.array_equal(getattr(found, name)[0], getattr(vessel, name))
     mixed = np.where(vessel.z > 3, -1, 1) * vessel.flow
-    with pytest.raises(InputError, match="its sign changes along the vessel"):
+    with pytest.raises(InputError, match="Its sign seems to change along the vessel"):
         to_cases([replaced(vessel, flow=mixed)])
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from types import SimpleNamespace
 
 import pandas as pd
@@ -292,9 +291,7 @@ def test_pcnde_figures_with_workers(run_pcnde, files, without_pictures, monkeypa
         made.append(workers)
         return ThreadPoolExecutor(workers)
 
-    monkeypatch.setattr(
-        "pcnde_bridge.cli.predict.processes", lambda workers: partial(pool, workers)
-    )
+    monkeypatch.setattr("pcnde_bridge.cli.predict.processes", pool)
     noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
     assert run_pcnde(*noise, "--out", files / "one")[0] == 0
     assert made == []
