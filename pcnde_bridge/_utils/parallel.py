@@ -206,7 +206,8 @@ def run(
     failures: dict[str, str] = {}
     missing = {name: task for name, task in tasks.items() if name not in results}
     finished = _finished(function, missing, executor, retries)
-    shown = TaskProgress(len(tasks), len(results), progress)
+    silent = contextlib.nullcontext(lambda name, failure: None)
+    shown = TaskProgress(len(tasks), len(results)) if progress else silent
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
     with contextlib.closing(finished), shown as bar:
         for name, result, failure in finished:

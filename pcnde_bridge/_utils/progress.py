@@ -30,8 +30,6 @@ class ProgressDisplay:
         Steps of the whole run, and steps completed before it started.
     columns : iterable of rich.progress.ProgressColumn
         Columns of the bar after its count.
-    show : bool
-        False shows nothing.
     console : rich.console.Console, optional
         Where to write; by default the standard error stream, so that results on the
         standard output stay clean.
@@ -45,7 +43,6 @@ class ProgressDisplay:
         total: int,
         done: int = 0,
         columns: tuple[ProgressColumn, ...] = (),
-        show: bool = True,
         console: Console | None = None,
         **fields: Any,
     ) -> None:
@@ -57,7 +54,7 @@ class ProgressDisplay:
             MofNCompleteColumn(),
             *columns,
             console=self._console,
-            disable=not (self._draws and show),
+            disable=not self._draws,
             # Without a thread that redraws: Python may collect garbage in any thread, and
             # objects of Julia must be released only in the thread that runs Julia.
             auto_refresh=False,
@@ -94,23 +91,16 @@ class TaskProgress(ProgressDisplay):
     ----------
     total, done : int
         Tasks of the whole run, and tasks completed before it started.
-    show : bool
-        False shows nothing.
     console : rich.console.Console, optional
         Where to write; by default the standard error stream.
     """
 
-    def __init__(
-        self, total: int, done: int = 0, show: bool = True, console: Console | None = None
-    ) -> None:
-        super().__init__("tasks", total, done, (TimeElapsedColumn(),), show, console)
-        self._show = show
+    def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
+        super().__init__("tasks", total, done, (TimeElapsedColumn(),), console)
 
     def __call__(self, name: str, failure: str | None = None) -> None:
         """Count a task that has finished, or failed permanently."""
         self._done += 1
-        if not self._show:
-            return
         now = time.monotonic()
         elapsed = now - self._began
         left = elapsed / (self._done - self._first) * (self._total - self._done)

@@ -239,7 +239,7 @@ def naming(name: object) -> Iterator[None]:
         raise InputError(f"{name}: {error}") from error
 
 
-def all_of(kind: type[_T], name: str, values: Iterable[Any]) -> tuple[_T, ...]:
+def all_of(kind: type[_T], name: str, values: object) -> tuple[_T, ...]:
     """Return objects of one kind as a tuple.
 
     Raises

@@ -105,23 +105,15 @@ class Cases(VesselQuantities):
         arrays = check_arrays(dict(zip(UNITS, given, strict=True)))
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
-        self._fill(arrays, cycle, table)
+        self.__setstate__({**arrays, "period": cycle, "_labels": table})
         check_plausible(arrays, strict=check)
 
-    def _fill(self, arrays: Mapping[str, Array], period: float, labels: pd.DataFrame) -> None:
-        """Set the fields, once."""
-        for name, array in arrays.items():
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "period", period)
-        object.__setattr__(self, "_labels", labels)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # Copies made by the standard library's copy and by worker processes would be
-        # writeable otherwise.
-        self.__dict__.update(state)
-        for name in UNITS:
-            getattr(self, name).setflags(write=False)
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Set the fields, also of copies, whose arrays would be writeable otherwise."""
+        for name, value in state.items():
+            if name in UNITS:
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
     # ---- contents ------------------------------------------------------
 
@@ -187,8 +179,7 @@ class Cases(VesselQuantities):
 
     def _contents(self) -> dict[str, AnyArray]:
         """Return the whole content as arrays; labels are named ``labels/<column>``."""
-        contents: dict[str, AnyArray] = {name: getattr(self, name) for name in UNITS}
-        contents["period"] = np.array(self.period)
+        contents = {name: getattr(self, name) for name in UNITS} | {"period": np.array(self.period)}
         for column in self._labels.columns:
             values = self._labels[column].to_numpy()
             if values.dtype.kind not in "biuf":
@@ -249,11 +240,11 @@ class Cases(VesselQuantities):
     def _take(self, positions: Positions) -> Cases:
         """Return the cases at valid positions."""
         taken = object.__new__(Cases)
-        arrays = {
-            name: getattr(self, name) if name in ("time", "z") else getattr(self, name)[positions]
-            for name in UNITS
+        state = self.__dict__ | {
+            name: getattr(self, name)[positions] for name in (*VARIABLES, "area_undeformed")
         }
-        taken._fill(arrays, self.period, self._labels.iloc[positions].reset_index(drop=True))
+        state["_labels"] = self._labels.iloc[positions].reset_index(drop=True)
+        taken.__setstate__(state)
         return taken
 
     def split(self, how: StrPath | Mapping[str, Sequence[Sequence[int]]] = "paper") -> Split:

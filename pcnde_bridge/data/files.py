@@ -34,9 +34,8 @@ def write_cases(path: StrPath, contents: Mapping[str, AnyArray], fingerprint: st
     header["fingerprint"] = fingerprint
     with atomic_write(path) as temporary:
         if suffix == ".npz":
-            with temporary.open("wb") as handle:
-                arrays: dict[str, Any] = {**header, **contents}
-                np.savez(handle, **arrays)
+            arrays: dict[str, Any] = {**header, **contents}
+            np.savez(temporary, **arrays)
         else:
             _write_h5(temporary, header, contents)
 

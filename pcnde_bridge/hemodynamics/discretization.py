@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,8 +13,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import all_of, check_values, finite, finite_array
-from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.checks import UnitsWarning
+from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
@@ -101,16 +98,14 @@ def case_name(case: int, labels: pd.DataFrame) -> str:
     return f"case {case} ({known})"
 
 
-def discretize_vessels(
-    tube: TubeSettings,
-    vessels: Sequence[Vessel],
-    waveforms: Sequence[Waveform],
-    outlet: Windkessel,
-    n_points: int,
-    initial_pressure: float | None = None,
-    labels: Labels = None,
-) -> Problem:
-    """Check idealized vessels and discretize them; see :func:`discretize`."""
+def on_grid(
+    vessels: Sequence[Vessel], waveforms: Sequence[Waveform], n_points: int, labels: Labels = None
+) -> dict[str, Any]:
+    """Return idealized vessels, and their labels, as arguments of :func:`discretize`.
+
+    Without labels, numbers are assigned to the different vessels and waveforms.  A vessel that
+    is repeated with the same waveform, at another outlet, is another geometry each time.
+    """
     vessels = all_of(Vessel, "vessels", vessels)
     waveforms = all_of(Waveform, "waveforms", waveforms)
     if not vessels:
@@ -119,32 +114,19 @@ def discretize_vessels(
         if vessel.length != vessels[0].length:
             lengths = f"{vessel.length:g} cm long, vessel 0 {vessels[0].length:g} cm"
             raise InputError(f"Vessel {i} is {lengths}; solve one length in a batch.")
-    z = vessels[0].grid(n_points)
     if labels is None:
-        labels = _default_labels(vessels, waveforms)
+        pairs = pd.DataFrame({"vessel": pd.Series(vessels), "waveform": pd.Series(waveforms)})
+        pairs["copy"] = pairs.groupby(["vessel", "waveform"], sort=False).cumcount()
+        labels = {
+            "geometry": pairs.groupby(["vessel", "copy"], sort=False).ngroup(),
+            "waveform": pairs.groupby("waveform", sort=False).ngroup(),
+        }
     if isinstance(labels, Mapping | pd.DataFrame) and "blockage" not in labels:
         labels = {**labels, "blockage": [vessel.blockage for vessel in vessels]}
+    z = vessels[0].grid(n_points)
     area = np.array([vessel.area_undeformed(z) for vessel in vessels])
     stenoses = [vessel.stenoses for vessel in vessels]
-    return discretize(tube, z, area, waveforms, outlet, stenoses, initial_pressure, labels)
-
-
-def _default_labels(vessels: Sequence[Vessel], waveforms: Sequence[Waveform]) -> dict[str, Any]:
-    """Assign numbers to the different vessels and the different waveforms.
-
-    A vessel that is repeated with the same waveform, at another outlet, is another
-    geometry each time.
-    """
-    before: Counter[tuple[Vessel, Waveform]] = Counter()
-    copies = []
-    for vessel, waveform in zip(vessels, waveforms, strict=False):
-        copies.append((vessel, before[vessel, waveform]))
-        before[vessel, waveform] += 1
-    shapes, inlets = list(dict.fromkeys(copies)), list(dict.fromkeys(waveforms))
-    return {
-        "geometry": [shapes.index(copy) for copy in copies],
-        "waveform": [inlets.index(waveform) for waveform in waveforms],
-    }
+    return {"z": z, "area_undeformed": area, "stenoses": stenoses, "labels": labels}
 
 
 def discretize(
@@ -153,9 +135,9 @@ def discretize(
     area_undeformed: npt.ArrayLike,
     waveforms: Sequence[Waveform],
     outlet: Windkessel,
-    stenoses: Sequence[Sequence[Stenosis]] | None,
-    initial_pressure: float | None,
-    labels: Labels,
+    stenoses: Sequence[Sequence[Stenosis]] | None = None,
+    initial_pressure: float | None = None,
+    labels: Labels = None,
 ) -> Problem:
     """Check the input of :meth:`~pcnde_bridge.hemodynamics.solver.Tube1D.solve`, discretize it.
 
@@ -174,7 +156,11 @@ def discretize(
     waveforms = all_of(Waveform, "waveforms", waveforms)
     if len(waveforms) != n_cases:
         raise InputError(f"There are {len(waveforms)} waveforms for {n_cases} cases.")
-    table = _check_labels(points, area, labels)
+    for name in SOLVER_LABELS:
+        if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
+            what = "which is the name of a column that the solver adds"
+            raise InputError(f"labels has a column {name!r}, {what}; rename it.")
+    table = check_labels(labels, area)
     ratio = np.exp(np.abs(np.diff(np.log(area), axis=1)))
     for i, k in np.argwhere(ratio > _LARGEST_AREA_RATIO)[:1]:
         raise InputError(
@@ -182,18 +168,19 @@ def discretize(
             f"{ratio[i, k]:.2f}-fold between z = {points[k]:g} and {points[k + 1]:g} cm, "
             f"{_LARGEST_AREA_RATIO:g}-fold at most can be resolved; use more points."
         )
+    period = waveforms[0].period
     for i, waveform in enumerate(waveforms):
-        _check_waveform(tube, i, waveform, waveforms[0].period)
+        _check_waveform(tube, i, waveform, period)
         _check_speed(tube, points, area[i], waveform, case_name(i, table))
     narrowings = _check_stenoses(stenoses, n_cases)
     if not isinstance(outlet, Windkessel):
         raise InputError(f"outlet must be a Windkessel, such as Windkessel(R), got {outlet!r}.")
     elements = outlet.elements(n_cases)
     pressure = _check_initial_pressure(tube, area, initial_pressure)
-    period = waveforms[0].period
     vessels = 0.5 * (area[:, :-1] + area[:, 1:]), area[:, -1]
     losses = _losses(tube, points, area, narrowings, table)
-    blood = tube.density, tube.kinematic_viscosity, 1.0 + tube.delta
+    delta = 1.0 / (1.0 + tube.profile_exponent)  # of the momentum equation
+    blood = tube.density, tube.kinematic_viscosity, 1.0 + delta
     steps = float(points[-1] - points[0]) / (len(points) - 1), period / tube.steps
     numbers = Tube(*vessels, *losses, elements, *blood, *steps)
     return Problem(points, area, _stage_inflow(tube, waveforms), numbers, pressure, period, table)
@@ -209,20 +196,6 @@ def _check_points(z: npt.ArrayLike) -> Array:
         step = f"z[{k + 1}] − z[{k}] = {steps[k]:g}"
         raise InputError(f"z must have equal steps (cm), but {step}; their mean is {mean:g}.")
     return points
-
-
-def _check_labels(z: Array, area_undeformed: Array, labels: Labels) -> pd.DataFrame:
-    """Check the labels as the data set of the result will, before anything is computed."""
-    for name in SOLVER_LABELS:
-        if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
-            what = "which is the name of a column that the solver adds"
-            raise InputError(f"labels has a column {name!r}, {what}; rename it.")
-    area = np.repeat(area_undeformed[:, None], 4, axis=1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnitsWarning)
-        fields = 0 * area, area, 0 * area, area_undeformed, np.arange(4), z
-        rest = Cases(*fields, labels=labels, check=False)
-    return rest.labels
 
 
 def _check_waveform(tube: TubeSettings, i: int, waveform: Waveform, period: float) -> None:
@@ -262,9 +235,8 @@ def _check_stenoses(
 ) -> list[tuple[Stenosis, ...]]:
     if stenoses is None:
         return [()] * n_cases
-    if not isinstance(stenoses, Iterable):
-        raise InputError(f"stenoses must be a sequence for every case, got {stenoses!r}.")
-    found = [all_of(Stenosis, f"stenoses[{i}]", several) for i, several in enumerate(stenoses)]
+    several = all_of(object, "stenoses", stenoses)
+    found = [all_of(Stenosis, f"stenoses[{i}]", of_case) for i, of_case in enumerate(several)]
     if len(found) != n_cases:
         raise InputError(f"stenoses has {len(found)} entries for {n_cases} cases.")
     return found
@@ -277,12 +249,11 @@ def _check_initial_pressure(tube: TubeSettings, area: Array, pressure: float | N
     with np.errstate(divide="ignore", invalid="ignore"):
         area_at_rest = tube.wall.area(rest, area)
         slope = tube.wall.pressure_slope(np.abs(area_at_rest), area)
-    for reason, value in (
-        ("would collapse or burst the wall", area_at_rest),
-        ("is outside the wall law's range", slope),
-    ):
-        if not (np.isfinite(value) & (value > 0.0)).all():
-            raise InputError(f"initial_pressure = {rest:g} dyn/cm² {reason}.")
+    if not all((np.isfinite(value) & (value > 0.0)).all() for value in (area_at_rest, slope)):
+        raise InputError(
+            f"initial_pressure = {rest:g} dyn/cm² is outside the wall law's range, or would "
+            "collapse or burst the wall."
+        )
     return rest
 
 
@@ -308,47 +279,45 @@ def _losses(
     mean = 0.75 * inverse[:, 1:]
     mean[:, :-1] += (inverse[:, :-2] + inverse[:, 2:]) / 8
     mean[:, -1] += inverse[:, -2] / 4
-    viscous = -tube.density * tube.friction * mean
+    # N of the momentum equation, and its ratio to that of the parabolic profile.
+    friction = -2.0 * math.pi * tube.kinematic_viscosity * (tube.profile_exponent + 2.0)
+    friction_ratio = (tube.profile_exponent + 2.0) / 4.0
+    viscous = -tube.density * friction * mean
     turbulent = np.zeros_like(viscous)
     for i, several in enumerate(stenoses):
+        name = case_name(i, labels)
         for stenosis in several:
-            _check_stenosis(tube, stenosis, z, case_name(i, labels))
+            if tube.stenosis_loss != "none" and not stenosis_fits(stenosis, z):
+                raise InputError(
+                    f"A stenosis of {name} reaches from {stenosis.start:g} to {stenosis.end:g} cm, "
+                    f"too close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
+                )
+            if stenosis.length < 4 * dz:
+                raise InputError(
+                    f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm "
+                    f"is {stenosis.length:g} cm long, less than 4 cells of {dz:g} cm; use more "
+                    "points."
+                )
         if tube.stenosis_loss == "none":
             continue
         shares = [_share(left, right, stenosis) for stenosis in several]
         viscous[i] *= 1.0 - np.minimum(sum(shares), 1.0)
         for stenosis in several:
-            healthy = upstream_area(z, area_undeformed[i], stenosis.start)
+            healthy, length = upstream_area(z, area_undeformed[i], stenosis.start), stenosis.length
             throat = healthy * (1.0 - stenosis.blockage)
-            length = stenosis.length
             if tube.stenosis_loss == "effective_length":
                 length = effective_length(length, throat)
             spread = _spread(left, right, stenosis)
             drop = viscous_drop(1.0, healthy, throat, length, tube.viscosity)
-            viscous[i] += spread * drop * tube.friction_ratio
+            viscous[i] += spread * drop * friction_ratio
             blood = tube.density, tube.turbulent_coefficient
             turbulent[i] += spread * turbulent_drop(1.0, healthy, throat, *blood)
     return viscous, turbulent
 
 
-def _check_stenosis(tube: TubeSettings, stenosis: Stenosis, z: Array, name: str) -> None:
-    dz = (z[-1] - z[0]) / (len(z) - 1)
-    if tube.stenosis_loss != "none" and not stenosis_fits(stenosis, z):
-        raise InputError(
-            f"A stenosis of {name} reaches from {stenosis.start:g} to {stenosis.end:g} cm, too "
-            f"close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
-        )
-    if stenosis.length < 4 * dz:
-        raise InputError(
-            f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm is "
-            f"{stenosis.length:g} cm long, less than 4 cells of {dz:g} cm; use more points."
-        )
-
-
 def stenosis_fits(stenosis: Stenosis, z: Array) -> bool:
     """Return whether the loss of a stenosis falls on faces that balance momentum."""
-    dz = (z[-1] - z[0]) / (len(z) - 1)
-    return bool(stenosis.start >= z[0] + dz / 2 and stenosis.end <= z[-1])
+    return bool(stenosis.start >= (z[0] + z[1]) / 2 and stenosis.end <= z[-1])
 
 
 def _share(left: Array, right: Array, stenosis: Stenosis) -> Array:

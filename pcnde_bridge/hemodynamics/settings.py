@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -57,18 +56,3 @@ class TubeSettings:
     def kinematic_viscosity(self) -> float:
         """ν = μ/ρ, cm²/s."""
         return self.viscosity / self.density
-
-    @property
-    def delta(self) -> float:
-        """δ = 1/(1 + ζ) of the momentum equation."""
-        return 1.0 / (1.0 + self.profile_exponent)
-
-    @property
-    def friction(self) -> float:
-        """N = −2πν(ζ + 2) of the momentum equation, cm²/s."""
-        return -2.0 * math.pi * self.kinematic_viscosity * (self.profile_exponent + 2.0)
-
-    @property
-    def friction_ratio(self) -> float:
-        """Friction relative to that of the parabolic profile, (ζ + 2)/4."""
-        return (self.profile_exponent + 2.0) / 4.0

@@ -49,7 +49,7 @@ from pcnde_bridge.hemodynamics.discretization import (
     Labels,
     Problem,
     discretize,
-    discretize_vessels,
+    on_grid,
     stenosis_fits,
     upstream_area,
 )
@@ -140,8 +140,9 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges.
         """
-        given = vessels, waveforms, outlet, n_points, initial_pressure, labels
-        return self._run(discretize_vessels(self, *given))
+        given = on_grid(vessels, waveforms, n_points, labels)
+        given |= {"waveforms": waveforms, "outlet": outlet, "initial_pressure": initial_pressure}
+        return self.solve_problem(discretize(self, **given))
 
     def solve(
         self,
@@ -198,9 +199,10 @@ class Tube1D(TubeSettings):
             If a case diverges; names the case, the time and the place.
         """
         given = z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
-        return self._run(discretize(self, *given))
+        return self.solve_problem(discretize(self, *given))
 
-    def _run(self, problem: Problem) -> Cases:
+    def solve_problem(self, problem: Problem) -> Cases:
+        """Solve a problem that is already checked and discretized; see :meth:`solve`."""
         with double_precision():
             from pcnde_bridge.hemodynamics.tr_bdf2 import run
 
@@ -315,12 +317,10 @@ def _periodicity(last: list[Array], previous: list[Array] | None) -> Array:
 
 
 def _report(periodicity: Array, volume_balance: Array) -> None:
-    for i, (change, balance) in enumerate(zip(periodicity, volume_balance, strict=True)):
-        _log.debug("Case %d: periodicity %.1e, volume balance %.1e.", i, change, balance)
-    late = np.flatnonzero(periodicity > _NOT_PERIODIC)
-    if len(late):
-        words = (
+    _log.debug("Periodicity %s, volume balance %s.", periodicity, volume_balance)
+    if len(late := np.flatnonzero(periodicity > _NOT_PERIODIC)):
+        _log.warning(
             "%d of %d cases are not periodic yet, case %d is %.1e away; use more cycles, or an "
-            "initial_pressure nearer the mean."
+            "initial_pressure nearer the mean.",
+            *(len(late), len(periodicity), late[0], periodicity[late[0]]),
         )
-        _log.warning(words, len(late), len(periodicity), late[0], periodicity[late[0]])

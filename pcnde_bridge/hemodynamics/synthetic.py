@@ -13,17 +13,16 @@ import logging
 import os
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._utils.files import cache_folder
+from pcnde_bridge._utils.files import cache_folder, make_folder
 from pcnde_bridge._utils.validation import real_array, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import FileError, InputError
-from pcnde_bridge.hemodynamics.discretization import discretize_vessels
+from pcnde_bridge.hemodynamics.discretization import discretize, on_grid
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.outlet import Windkessel
 from pcnde_bridge.hemodynamics.solver import Tube1D
@@ -131,10 +130,17 @@ def synthetic(
     key = hashlib.sha256(repr(content).encode()).hexdigest()[:16]
     folder = cache_folder(None if cache is True else cache) / "synthetic"
     path = folder / f"{n_geometries}x{n_waveforms}-seed{seed}-{key}.npz"
-    cases = _read(path)
-    if cases is None:
-        cases = solve()
-        _write(path, cases)
+    try:
+        if path.is_file():
+            return Cases.load(path)
+    except FileError as error:
+        _log.warning("The cached cases cannot be read and are computed again: %s.", error)
+    cases = solve()
+    try:
+        make_folder(folder)
+        cases.save(path)
+    except FileError as error:
+        _log.warning("The cases could not be stored in the cache: %s.", error)
     return cases
 
 
@@ -179,47 +185,22 @@ def _solve(
     from rich.progress import track
 
     outlet, n = Windkessel(OUTLET_RESISTANCE), len(waveforms)
-    batches = []
-    for number, vessel in enumerate(vessels, start=1):
-        given = {"waveform": range(n), "blockage": vessel.blockage, "factor": factors}
-        batches.append((vessel, pd.DataFrame({"geometry": number, **given})))
-    for vessel, table in batches:  # all of them before anything is computed
-        discretize_vessels(tube, [vessel] * n, waveforms, outlet, n_points, labels=table)
+    problems = []
+    for number, vessel in enumerate(vessels, start=1):  # all of them before anything is computed
+        table = {"geometry": number, "waveform": range(n), "blockage": vessel.blockage}
+        labels = pd.DataFrame({**table, "factor": factors})
+        given = on_grid([vessel] * n, waveforms, n_points, labels)
+        problems.append(discretize(tube, waveforms=waveforms, outlet=outlet, **given))
     description, console = f"Computing {len(vessels) * n} cases", Console(stderr=True)
-    parts = [
-        tube.simulate([vessel] * n, waveforms, outlet, n_points=n_points, labels=table)
-        for vessel, table in track(batches, description, console=console, disable=not progress)
-    ]
-    cases = _concatenate(parts)
-    words = "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst."
-    _log.info(words, len(cases), *cases.labels[list(SOLVER_LABELS)].max())
-    return cases
-
-
-def _concatenate(parts: Sequence[Cases]) -> Cases:
+    shown = track(problems, description, console=console, disable=not progress)
+    parts = [tube.solve_problem(problem) for problem in shown]
     flow, area, pressure, area_undeformed = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("flow", "area", "pressure", "area_undeformed")
     )
     labels = pd.concat([part.labels for part in parts], ignore_index=True)
-    time, z, period = parts[0].time, parts[0].z, parts[0].period
-    return Cases(flow, area, pressure, area_undeformed, time, z, period=period, labels=labels)
-
-
-def _read(path: Path) -> Cases | None:
-    """Return the cached cases, or None if they are not there or damaged."""
-    if not path.is_file():
-        return None
-    try:
-        return Cases.load(path)
-    except FileError as error:
-        _log.warning("The cached cases cannot be read and are computed again: %s.", error)
-        return None
-
-
-def _write(path: Path, cases: Cases) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        cases.save(path)
-    except (OSError, FileError) as error:
-        _log.warning("The cases could not be stored in the cache: %s.", error)
+    fields = flow, area, pressure, area_undeformed, parts[0].time, parts[0].z
+    cases = Cases(*fields, period=parts[0].period, labels=labels)
+    words = "Computed %d synthetic cases; periodicity %.1e, volume balance %.1e at worst."
+    _log.info(words, len(cases), *cases.labels[list(SOLVER_LABELS)].max())
+    return cases

@@ -15,6 +15,7 @@ arrays alike.  Units are CGS: dyn/cm², cm², cm/s.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,21 +26,20 @@ PAPER_REFERENCE_PRESSURE = 133_322.0
 """100 mmHg in dyn/cm²."""
 
 
-def wave_speed(area: Any, pressure_slope: Any, density: float) -> Any:
-    """Return the pulse wave speed c = √(S/ρ · dp/dS), cm/s.
+class _WallLaw(ABC):
+    """Wall law; its methods take areas S > 0 and S_u, cm², that broadcast."""
 
-    Parameters
-    ----------
-    area, pressure_slope : array, shape (...)
-        S (cm²) and dp/dS (dyn/cm⁴).
-    density : float
-        ρ, g/cm³.
-    """
-    return (area / density * pressure_slope) ** 0.5
+    @abstractmethod
+    def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
+        """Return the slope dp/dS, dyn/cm⁴."""
+
+    def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
+        """Return the pulse wave speed √(S/ρ · dp/dS), cm/s."""
+        return (area / density * self.pressure_slope(area, area_undeformed)) ** 0.5
 
 
 @dataclass(frozen=True)
-class LinearWall:
+class LinearWall(_WallLaw):
     """Linear elastic wall; the default is the paper's artery, undeformed at zero pressure.
 
     Attributes
@@ -85,13 +85,9 @@ class LinearWall:
         """Return the slope dp/dS, dyn/cm⁴."""
         return 0.5 * self.stiffness / (area * area_undeformed) ** 0.5
 
-    def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
-        """Return the pulse wave speed √(S/ρ · dp/dS), cm/s."""
-        return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
-
 
 @dataclass(frozen=True)
-class OlufsenWall:
+class OlufsenWall(_WallLaw):
     """Olufsen's wall law: stiffness decreases with the radius and increases with strain.
 
     The default coefficients are those fitted by Olufsen (1999).
@@ -117,10 +113,9 @@ class OlufsenWall:
     def __post_init__(self) -> None:
         check_fields(self, positive, k3="g/(s²·cm)")
         check_fields(self, finite, k1="g/(s²·cm)", k2="1/cm", reference_pressure="dyn/cm²")
-        if self.k1 < 0.0:
-            raise InputError(f"OlufsenWall.k1 must not be negative, got {self.k1!r}.")
-        if self.k2 > 0.0:
-            raise InputError(f"OlufsenWall.k2 must not be positive, got {self.k2!r}.")
+        if self.k1 < 0.0 or self.k2 > 0.0:
+            rule = "k1 must not be negative, and k2 must not be positive"
+            raise InputError(f"{rule} in OlufsenWall, got {self.k1!r} and {self.k2!r}.")
 
     def stiffness(self, area_undeformed: Any) -> Any:
         """Return 4/3·(k₁·exp(k₂·r₀) + k₃), dyn/cm²."""
@@ -143,10 +138,6 @@ class OlufsenWall:
     def pressure_slope(self, area: Any, area_undeformed: Any) -> Any:
         """Return the slope dp/dS, dyn/cm⁴."""
         return 0.5 * self.stiffness(area_undeformed) * (area_undeformed / area) ** 0.5 / area
-
-    def wave_speed(self, area: Any, area_undeformed: Any, density: float = 1.06) -> Any:
-        """Return the pulse wave speed √(S/ρ · dp/dS), cm/s."""
-        return wave_speed(area, self.pressure_slope(area, area_undeformed), density)
 
 
 Wall = LinearWall | OlufsenWall
