@@ -22,7 +22,7 @@ OPTIONAL = ("vtkmodules", "xarray", "dash")
     "code",
     [
         "import pcnde_bridge",
-        "import pcnde_bridge.plots, pcnde_bridge.plots.paper_figures",
+        "import pcnde_bridge.plots, pcnde_bridge.plots.figures",
         "from pcnde_bridge import cli; import pcnde_bridge.cli.doctor as d; d.examine()",
     ],
 )

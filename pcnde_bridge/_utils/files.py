@@ -14,6 +14,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
 
@@ -84,6 +86,27 @@ def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:
     """
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(data, indent=indent) + "\n", encoding="utf-8")
+
+
+def write_csv(path: StrPath, table: pd.DataFrame, **options: Any) -> None:
+    """Write a table atomically, compressed if the file's ending says so.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to write.
+    table : DataFrame
+        The table.
+    **options
+        Further arguments of :meth:`pandas.DataFrame.to_csv`.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, see :func:`atomic_write`.
+    """
+    with atomic_write(path) as temporary:
+        table.to_csv(temporary, **options)
 
 
 def check_writable(path: StrPath, size: int = 0) -> None:

@@ -7,10 +7,11 @@ such as ``model[fast].npz``.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pandas as pd
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -20,6 +21,9 @@ _out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
+
+SHORT_TITLES = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
+"""Titles of columns of errors that would be too long for a narrow terminal."""
 
 
 def say(text: str, *, style: str | None = None, end: str = "\n") -> None:
@@ -37,18 +41,11 @@ def show(table: Table) -> None:
     _out.print(table, soft_wrap=False)
 
 
-def error_titles(names: Iterable[str]) -> list[str]:
-    """Return the headings of columns of errors, short enough for a narrow terminal."""
-    short = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
-    return [short.get(name, name) for name in names]
-
-
-def show_errors(errors: Mapping[str, Mapping[str, float]]) -> None:
-    """Print relative errors: a line for each name, a column for each variable."""
-    variables = list(next(iter(errors.values())))
-    table = Table("relative error", *error_titles(variables))
-    for name, row in errors.items():
-        table.add_row(name, *(f"{row[variable]:.4f}" for variable in variables))
+def show_errors(errors: pd.DataFrame) -> None:
+    """Print relative errors: a line for each row, a column for each variable."""
+    table = Table("relative error", *errors.rename(columns=SHORT_TITLES).columns)
+    for name, *values in errors.itertuples():
+        table.add_row(name, *(f"{value:.4f}" for value in values))
     show(table)
 
 

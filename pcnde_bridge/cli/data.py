@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
 from pcnde_bridge._version import __version__
+from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import say
-from pcnde_bridge.cli.options import UnitsOption, check_outputs, name_pairs, option, units_of
+from pcnde_bridge.cli.options import check_outputs, name_pairs, option, units_of
 from pcnde_bridge.errors import InputError, PCNDEError
 
 FileFormat = Literal["simvascular", "sv1d", "csv", "hdf5"]
-DataSetOption = Annotated[Path, option("File for the data set: .npz or .h5.")]
+_OUT = option(..., "File for the data set: .npz or .h5.")
 
 
 def simulate(
-    out: DataSetOption,
-    geometries: Annotated[int, option("Number of blockages, from 40 to 85 %.", min=1)] = 10,
-    waveforms: Annotated[int, option("Number of waveforms, of increasing amplitude.", min=1)] = 10,
-    seed: Annotated[int, option("0: built-in waveform; others: variations of it.", min=0)] = 0,
+    out: Path = _OUT,
+    geometries: int = option(10, "Number of blockages, from 40 to 85 %.", min=1),
+    waveforms: int = option(10, "Number of waveforms, of increasing amplitude.", min=1),
+    seed: int = option(0, "0: built-in waveform; others: variations of it.", min=0),
 ) -> None:
     """Simulate stenosed vessels with the 1D solver."""
     from pcnde_bridge.hemodynamics.synthetic import synthetic
@@ -31,40 +32,24 @@ def simulate(
 
 
 def convert(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="simvascular: .vtp centerlines with averaged results. sv1d: input files of "
-            "svOneDSolver (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
-        ),
-    ],
-    source: Annotated[FileFormat, option("Program or format of the files.", "--from")],
-    out: DataSetOption,
-    labels: Annotated[
-        Path | None, option("CSV with one row per file: file, geometry, waveform.")
-    ] = None,
-    period: Annotated[
-        float | None, option("Cycle length, s; the last complete cycle is used.")
-    ] = None,
-    time_step: Annotated[
-        float | None, option("Time step of the 3D simulation, s (simvascular).")
-    ] = None,
-    units: UnitsOption = None,
-    flip: Annotated[
-        Literal["flow", "z"] | None,
-        option("Reverse the sign of the flow, or the direction of the vessel."),
-    ] = None,
-    time_points: Annotated[
-        int | None, option("Resample the cycle to this number of steps.")
-    ] = None,
-    points: Annotated[int | None, option("Resample the vessel to this number of points.")] = None,
-    branch: Annotated[int | None, option("BranchId of the vessel (simvascular).")] = None,
-    rigid: Annotated[bool, option("The walls were rigid (simvascular).", "--rigid")] = False,
-    segments: Annotated[str | None, option("Segments from the inlet: a,b,c (sv1d).")] = None,
-    names: Annotated[
-        str | None, option("Names of the data sets: flow=/Q,pressure=/P (hdf5).")
-    ] = None,
+    files: list[Path] = typer.Argument(
+        metavar="FILE...",
+        help="simvascular: .vtp centerlines with averaged results. sv1d: input files of "
+        "svOneDSolver (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
+    ),
+    source: FileFormat = option(..., "Program or format of the files.", "--from"),
+    out: Path = _OUT,
+    labels: Path | None = option(None, "CSV with one row per file: file, geometry, waveform."),
+    period: float | None = option(None, "Cycle length, s; the last complete cycle is used."),
+    time_step: float | None = option(None, "Time step of the 3D simulation, s (simvascular)."),
+    units: str | None = options.UNITS,
+    flip: Literal["flow", "z"] | None = option(None, "Reverse the sign of the flow, or z."),
+    time_points: int | None = option(None, "Resample the cycle to this number of steps."),
+    points: int | None = option(None, "Resample the vessel to this number of points."),
+    branch: int | None = option(None, "BranchId of the vessel (simvascular)."),
+    rigid: bool = option(False, "The walls were rigid (simvascular).", "--rigid"),
+    segments: str | None = option(None, "Segments from the inlet: a,b,c (sv1d)."),
+    names: str | None = option(None, "Names of the data sets: flow=/Q,pressure=/P (hdf5)."),
 ) -> None:
     """Convert results of other programs into a data set.
 
@@ -79,14 +64,16 @@ def convert(
         "csv": {},
         "hdf5": {"names": name_pairs(names, "--names")},
     }
+    given: dict[str, Any] = {}
     for name, values in of_format.items():
-        given = [option for option, value in values.items() if value is not None]
-        if name != source and given:
-            wrong = given[0].replace("_", "-")
+        stated = {key: value for key, value in values.items() if value is not None}
+        if stated and name != source:
+            wrong = next(iter(stated)).replace("_", "-")
             raise InputError(f"--{wrong} is an option of --from {name}, not of {source}.")
+        given |= stated
     cases = getattr(io, f"read_{source}")(
         files,
-        **{name: value for name, value in of_format[source].items() if value is not None},
+        **given,
         period=period,
         units=units_of(units),
         flip=flip,
@@ -98,9 +85,7 @@ def convert(
 
 
 def download(
-    folder: Annotated[
-        Path | None, option("Folder of the files; by default the cache folder.", "--cache")
-    ] = None,
+    folder: Path | None = option(None, "Folder of the files instead of the cache.", "--cache"),
 ) -> None:
     """Download the published data set (100 cases, about 50 MB)."""
     from pcnde_bridge.io.datasets import download_published
@@ -109,9 +94,7 @@ def download(
 
 
 def doctor(
-    load: Annotated[
-        bool, option("Load Julia even if it must be compiled first (minutes).", "--load")
-    ] = False,
+    load: bool = option(False, "Load Julia even if it must be compiled first (minutes).", "--load"),
 ) -> None:
     """Check engines and data on this machine and suggest fixes."""
     from pcnde_bridge.cli.doctor import examine

@@ -11,7 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 import typer.core
@@ -66,8 +66,8 @@ for _name, _command in _COMMANDS.items():
 
 @app.callback(invoke_without_command=True)
 def _global_options(
-    version: Annotated[bool, option("Print the version.", "--version")] = False,
-    verbose: Annotated[bool, option("Verbose output.", "--verbose", "-v")] = False,
+    version: bool = option(False, "Print the version.", "--version"),
+    verbose: bool = option(False, "Verbose output.", "--verbose", "-v"),
 ) -> None:
     logging.basicConfig(format="%(message)s", level=logging.DEBUG if verbose else logging.WARNING)
     logging.getLogger("pcnde_bridge").setLevel(logging.DEBUG if verbose else logging.INFO)

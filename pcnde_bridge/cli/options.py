@@ -5,52 +5,42 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from pcnde_bridge._utils.files import check_writable
 from pcnde_bridge.config import PRESETS, Config, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import FileError, InputError
 
 
-def option(help: str, *names: str, **settings: Any) -> Any:
-    """Return an option with its help text; without names it has that of its parameter."""
-    return typer.Option(*names, help=help, **settings)
+def option(default: Any, help: str, *names: str, **settings: Any) -> Any:
+    """Return an option with its default (``...``: required) and its help text.
+
+    Without names, it has the name of its parameter.
+    """
+    return typer.Option(default, *names, help=help, **settings)
 
 
-DataArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="DATA",
-        help="Folder in the authors' layout, a saved data set (.npz, .h5), or a name: "
-        "published, synthetic.",
-    ),
-]
-ModelArgument = Annotated[Path, typer.Argument(metavar="MODEL", help="File of a fitted model.")]
-SplitOption = Annotated[
-    str,
-    option(
-        "'paper', 'none' (all cases are training cases), or a JSON file "
-        '{"train": [[G, W], ...], "test": [...]}.'
-    ),
-]
-PresetOption = Annotated[str, option(f"Preset: {', '.join(PRESETS)}.")]
-ConfigOption = Annotated[
-    Path | None, option("JSON file of settings that differ from the preset.", "--config")
-]
-SeedOption = Annotated[
-    int, option("Random seed for the initial weights and the batch order.", min=0)
-]
-EngineOption = Annotated[EngineName, option("Compute engine.")]
-UnitsOption = Annotated[
-    str | None,
-    option("cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm."),
-]
-WorkersOption = Annotated[int, option("Number of parallel processes.", min=1)]
-JsonOption = Annotated[Path | None, option("Also write the results to this JSON file.", "--json")]
+DATA = typer.Argument(
+    metavar="DATA",
+    help="Folder in the authors' layout, a saved data set (.npz, .h5), or a name: published, "
+    "synthetic.",
+)
+MODEL = typer.Argument(metavar="MODEL", help="File of a fitted model.")
+SPLIT = option(
+    "paper",
+    "'paper', 'none' (all cases are training cases), or a JSON file "
+    '{"train": [[G, W], ...], "test": [...]}.',
+)
+PRESET = option("paper", f"Preset: {', '.join(PRESETS)}.")
+CONFIG = option(None, "JSON file of settings that differ from the preset.", "--config")
+SEED = option(0, "Random seed for the initial weights and the batch order.", min=0)
+ENGINE = option("auto", "Compute engine.")
+UNITS = option(None, "cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm.")
+WORKERS = option(1, "Number of parallel processes.", min=1)
+JSON = option(None, "Also write the results to this JSON file.", "--json")
 
 
 def settings_of(preset: str, path: Path | None) -> Config:
@@ -75,14 +65,10 @@ def split_of(cases: Cases, split: str) -> dict[str, Cases]:
 def check_outputs(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:
     """Raise before any work if a file cannot be written or would replace another one."""
     known = {path.resolve() for path in inputs}
-    for path in paths:
-        if path is None:
-            continue
+    for path in filter(None, paths):
         if path.resolve() in known:
             raise InputError(f"{path} is named twice: it would be overwritten.")
         known.add(path.resolve())
-        if path.is_dir() or not path.parent.is_dir():
-            raise FileError(f"Cannot write {path}: give a file in an existing folder.")
         check_writable(path, size)
 
 

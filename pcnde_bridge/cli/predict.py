@@ -5,33 +5,23 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import pandas as pd
 import typer
 from rich.table import Table
 
-from pcnde_bridge._utils.files import atomic_write, write_json
+from pcnde_bridge._utils.files import write_csv, write_json
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.validation import counted, positive
+from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, say, show, show_errors
-from pcnde_bridge.cli.options import (
-    DataArgument,
-    EngineOption,
-    JsonOption,
-    ModelArgument,
-    SplitOption,
-    UnitsOption,
-    WorkersOption,
-    check_outputs,
-    option,
-    split_of,
-    units_of,
-)
+from pcnde_bridge.cli.options import check_outputs, option, split_of, units_of
+from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.datasets import load_cases
 from pcnde_bridge.io.predictions import check_target, save_csv
-from pcnde_bridge.model.ensemble import load_model
+from pcnde_bridge.model.ensemble import Ensemble, load_model
 from pcnde_bridge.model.metrics import pooled
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
@@ -40,10 +30,8 @@ _IN_MEMORY = 256  # predictions of single cases, with their samples, while a tab
 
 
 def info(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Model, ensemble, checkpoint or data set.")
-    ],
-    as_json: Annotated[bool, option("Print JSON, with all settings.", "--json")] = False,
+    file: Path = typer.Argument(metavar="FILE", help="Model, ensemble, checkpoint or data set."),
+    as_json: bool = option(False, "Print JSON, with all settings.", "--json"),
 ) -> None:
     """Print the content of a file, and how a model was trained."""
     from pcnde_bridge.model.describe import describe, lines
@@ -59,12 +47,12 @@ def info(
 
 
 def evaluate(
-    model: ModelArgument,
-    data: DataArgument,
-    split: SplitOption = "paper",
-    engine: EngineOption = "auto",
-    json_file: JsonOption = None,
-    csv: Annotated[Path | None, option("Also write the errors of every case.")] = None,
+    model: Path = options.MODEL,
+    data: str = options.DATA,
+    split: str = options.SPLIT,
+    engine: EngineName = options.ENGINE,
+    json_file: Path | None = options.JSON,
+    csv: Path | None = option(None, "Also write the errors of every case."),
 ) -> None:
     """Print relative errors of a model on a data set."""
     check_outputs(json_file, csv, inputs=[model, Path(data)])
@@ -75,45 +63,34 @@ def evaluate(
     if json_file is not None:
         write_json(json_file, errors)
     if csv is not None:
-        with atomic_write(csv) as temporary:
-            pd.concat(tables, names=["set"]).to_csv(temporary)
-    show_errors(errors)
+        write_csv(csv, pd.concat(tables, names=["set"]))
+    show_errors(pd.DataFrame(errors).T)
 
 
 def predict(
-    model: ModelArgument,
-    inflow: Annotated[Path, option("CSV: time (s), then one column of Q (mL/s) per case.")],
-    area: Annotated[Path, option("CSV: z (cm), then one column of S_u (cm²) per case.")],
-    out: Annotated[
-        Path,
-        option(
-            "Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per case) "
-            "or .pvd (animation for ParaView)."
-        ),
-    ],
-    engine: EngineOption = "auto",
-    samples: Annotated[
-        int,
-        option(
-            "Number of samples for the standard deviations in a .csv (preset physics; 64 are "
-            "enough). An ensemble always gives standard deviations.",
-            min=0,
-        ),
-    ] = 0,
-    units: UnitsOption = None,
-    period: Annotated[
-        float | None, option("Cycle length, s; a time point at its end is left out.")
-    ] = None,
-    interpolate: Annotated[
-        bool, option("Interpolate unequal time steps, and to the model's grid.")
-    ] = False,
-    indices: Annotated[
-        Path | None,
-        option(
-            "Also write pressure drop, FFR, resistance and other indices of each case to this "
-            ".csv, with 90 % intervals where there are samples."
-        ),
-    ] = None,
+    model: Path = options.MODEL,
+    inflow: Path = option(..., "CSV: time (s), then one column of Q (mL/s) per case."),
+    area: Path = option(..., "CSV: z (cm), then one column of S_u (cm²) per case."),
+    out: Path = option(
+        ...,
+        "Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per case) "
+        "or .pvd (animation for ParaView).",
+    ),
+    engine: EngineName = options.ENGINE,
+    samples: int = option(
+        0,
+        "Number of samples for the standard deviations in a .csv (preset physics; 64 are "
+        "enough). An ensemble always gives standard deviations.",
+        min=0,
+    ),
+    units: str | None = options.UNITS,
+    period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
+    interpolate: bool = option(False, "Interpolate unequal time steps, and to the model's grid."),
+    indices: Path | None = option(
+        None,
+        "Also write pressure drop, FFR, resistance and other indices of each case to this "
+        ".csv, with 90 % intervals where there are samples.",
+    ),
 ) -> None:
     """Predict flow, area and pressure of new cases.
 
@@ -128,17 +105,17 @@ def predict(
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine)
     check_target(out, fitted.has_pressure)
-    stated = units_of(units)
     given = read_inputs(
         inflow,
         area,
         fitted.grid,
         any_grid=fitted.any_grid,
-        units=stated,
+        units=units_of(units),
         period=None if period is None else positive("--period", period, "s"),
         interpolate=interpolate,
     )
-    q, s_u = given.inflow, given.area_undeformed
+    inputs = given.inflow, given.area_undeformed
+    settings: dict[str, Any] = {"units": units_of(units), **given.where}
     tables: list[pd.DataFrame] = []
 
     def named(prediction: Prediction) -> Prediction:
@@ -147,30 +124,27 @@ def predict(
             tables.append(prediction.indices())
         return prediction
 
-    files, options = [out], {"units": stated, **given.where}
+    files = [out]
     if suffix == ".csv":
-        if isinstance(fitted, PCNDE):
-            batch, options["samples"] = _IN_MEMORY // (1 + samples), samples
-        else:  # the members are the samples
-            batch = _IN_MEMORY // (1 + len(fitted.members))
-        batches = fitted.predict_batches(q, s_u, batch=max(1, batch), **options)
-        count = save_csv(map(named, batches), out)
+        if isinstance(fitted, Ensemble):
+            samples = len(fitted.members)
+        else:
+            settings["samples"] = samples
+        batch = max(1, _IN_MEMORY // (1 + samples))
+        count = save_csv(map(named, fitted.predict_batches(*inputs, batch=batch, **settings)), out)
     else:
-        prediction = named(fitted.predict(q, s_u, **options))
+        prediction = named(fitted.predict(*inputs, **settings))
         files, count = prediction.save(out), len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"
     say(f"Saved {counted(count, 'case')} in {place}.")
     if indices is not None:
-        with atomic_write(indices) as temporary:
-            pd.concat(tables).to_csv(temporary, index=False)
+        write_csv(indices, pd.concat(tables), index=False)
         say(f"Saved their indices in {indices}.")
 
 
 def explore(
-    model: ModelArgument,
-    port: Annotated[
-        int, option("Port on this machine; 0: any free port.", min=0, max=65535)
-    ] = 8050,
+    model: Path = options.MODEL,
+    port: int = option(8050, "Port on this machine; 0: any free port.", min=0, max=65535),
 ) -> None:
     """Explore a model on a web page, on this machine only."""
     from pcnde_bridge.app.server import serve
@@ -180,49 +154,36 @@ def explore(
 
 
 def figures(
-    model: ModelArgument,
-    data: DataArgument,
-    out: Annotated[Path, option("Folder for PNG, PDF and CSV files.")],
-    only: Annotated[
-        list[str] | None,
-        option("Figure to draw; may be repeated. An unknown name prints all names."),
-    ] = None,
-    studies: Annotated[
-        bool, option("Include figures that train models, which takes minutes.", "--studies")
-    ] = False,
-    split: SplitOption = "paper",
-    engine: EngineOption = "auto",
-    workers: WorkersOption = 1,
+    model: Path = options.MODEL,
+    data: str = options.DATA,
+    out: Path = option(..., "Folder for PNG, PDF and CSV files."),
+    only: list[str] = option([], "Figure to draw, repeatable. An unknown name prints all names."),
+    studies: bool = option(False, "Include figures that train models (minutes).", "--studies"),
+    split: str = options.SPLIT,
+    engine: EngineName = options.ENGINE,
+    workers: int = options.WORKERS,
 ) -> None:
     """Draw the paper's figures for a model and a data set.
 
     The numbers of most figures are written beside them.
     """
-    from pcnde_bridge.plots import paper_figures
+    from pcnde_bridge.plots.figures import COSTS, FigureData, choose, make_figures
 
-    names = only or []
-    paper_figures.choose(names)
+    choose(only)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, split)
-    figure_data = paper_figures.FigureData(fitted, cases, sets["train"], sets.get("test"))
+    figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"))
     if data == "synthetic":
         figure_data.truth_label, figure_data.other = "1D solver", None
     elif data != "published":
         figure_data.truth_label = "truth"
     if workers > 1:
         figure_data.executor = processes(workers)
-
-    def announce(number: int, count: int, figure: paper_figures.PaperFigure) -> None:
-        cost = f"; {figure.cost}" if figure.cost else ""
-        note(f"[{number}/{count}] {figure.name}: {figure.description}{cost}")
-
-    for result in paper_figures.make_figures(
-        figure_data, out, only=names, with_studies=studies, on_figure=announce
-    ):
-        files = ", ".join(path.name for path in result.files)
-        reason = f"left out. {result.reason}"
-        say(f"{result.figure.name}: {reason if result.reason else files}")
-    if not names and not studies:
-        costly = [f"{f.name} ({f.cost})" for f in paper_figures.FIGURES if f.cost]
+    made = make_figures(figure_data, out, only=only, with_studies=studies, announce=note)
+    for name, files in made.items():
+        if files:
+            say(f"{name}: {', '.join(path.name for path in files)}")
+    if not only and not studies:
+        costly = (f"{name} ({cost})" for name, cost in COSTS.items())
         say(f"Left out without --studies: {', '.join(costly)}.")
     say(f"The files are in {out}.")

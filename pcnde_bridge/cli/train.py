@@ -5,29 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
 
+import pandas as pd
 from rich.table import Table
 
-from pcnde_bridge._utils.files import atomic_write
+from pcnde_bridge._utils.files import write_csv
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
-from pcnde_bridge.cli.console import error_titles, note, resumable, say, show, show_errors
-from pcnde_bridge.cli.options import (
-    ConfigOption,
-    DataArgument,
-    EngineOption,
-    JsonOption,
-    PresetOption,
-    SeedOption,
-    SplitOption,
-    WorkersOption,
-    check_outputs,
-    option,
-    settings_of,
-    split_of,
-)
+from pcnde_bridge.cli import options
+from pcnde_bridge.cli.console import SHORT_TITLES, note, resumable, say, show, show_errors
+from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_of
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
 from pcnde_bridge.evaluation import baselines, benchmark, cross_validation
 from pcnde_bridge.io.datasets import load_cases
@@ -38,31 +27,28 @@ from pcnde_bridge.training import checkpoint as checkpoints
 
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
-CheckpointOption = Annotated[
-    Path | None,
-    option(
-        "File that stores the state of training. By default OUT.checkpoint (fit) or "
-        "bench-….checkpoint in this folder (bench), removed after the training."
-    ),
-]
+_CHECKPOINT = option(
+    None,
+    "File that stores the state of training. By default OUT.checkpoint (fit) or "
+    "bench-….checkpoint in this folder (bench), removed after the training.",
+)
 
 
 def fit(
-    data: DataArgument,
-    out: Annotated[Path, option("File for the fitted model.")],
-    split: SplitOption = "paper",
-    preset: PresetOption = "paper",
-    config: ConfigOption = None,
-    engine: EngineOption = "auto",
-    seed: SeedOption = 0,
-    checkpoint: CheckpointOption = None,
-    members: Annotated[int, option("Number of models; more than 1 is an ensemble.", min=1)] = 1,
-    workers: WorkersOption = 1,
+    data: str = options.DATA,
+    out: Path = option(..., "File for the fitted model."),
+    split: str = options.SPLIT,
+    preset: str = options.PRESET,
+    config: Path | None = options.CONFIG,
+    engine: EngineName = options.ENGINE,
+    seed: int = options.SEED,
+    checkpoint: Path | None = _CHECKPOINT,
+    members: int = option(1, "Number of models; more than 1 is an ensemble.", min=1),
+    workers: int = options.WORKERS,
 ) -> None:
     """Train a model, or resume an interrupted run."""
     settings = settings_of(preset, config)
-    check_outputs(out, size=members * _MODEL_SIZE, inputs=[Path(data)])
-    check_outputs(checkpoint, inputs=[Path(data), out])
+    check_outputs(out, checkpoint, size=members * _MODEL_SIZE, inputs=[Path(data)])
     if members > 1 and checkpoint is not None:
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
@@ -85,22 +71,20 @@ def fit(
         model.save(out)
         if not model.provenance["failures"]:
             remove_results(folder)
-    show_errors({name: pooled(model.evaluate(cases)) for name, cases in sets.items()})
+    show_errors(pd.DataFrame({n: pooled(model.evaluate(cases)) for n, cases in sets.items()}).T)
     say(f"Saved {out}.")
 
 
 def cross_validate(
-    data: DataArgument,
-    split: SplitOption = "paper",
-    preset: PresetOption = "paper",
-    config: ConfigOption = None,
-    engine: EngineOption = "auto",
-    seed: SeedOption = 0,
-    workers: WorkersOption = 1,
-    folder: Annotated[
-        Path | None, option("Folder that stores finished fits, to resume an interrupted run.")
-    ] = None,
-    csv: Annotated[Path | None, option("Also write the table.")] = None,
+    data: str = options.DATA,
+    split: str = options.SPLIT,
+    preset: str = options.PRESET,
+    config: Path | None = options.CONFIG,
+    engine: EngineName = options.ENGINE,
+    seed: int = options.SEED,
+    workers: int = options.WORKERS,
+    folder: Path | None = option(None, "Folder of finished fits, to resume an interrupted run."),
+    csv: Path | None = option(None, "Also write the table."),
 ) -> None:
     """Leave out each waveform and geometry, and print errors.
 
@@ -114,31 +98,28 @@ def cross_validate(
             train, settings, engine, seed, executor=processes(workers), folder=folder
         )
     if csv is not None:
-        with atomic_write(csv) as temporary:
-            table.to_csv(temporary)
-    names = [" ".join(map(str, key)) for key in table.index.to_list()]
-    if variables := [name for name in VARIABLES if table[name].notna().any()]:
-        errors = dict(zip(names, table[variables].to_dict("records"), strict=True))
-        for label, mean in table[variables].groupby("label").mean().to_dict("index").items():
-            errors[f"mean, {label}"] = mean
-        show_errors({name: {v: float(row[v]) for v in variables} for name, row in errors.items()})
-    for name, reason in zip(names, table["failure"], strict=True):
-        if isinstance(reason, str):
-            say(f"{name}: {reason}")
+        write_csv(csv, table)
+    errors = table[list(VARIABLES)].dropna(axis="columns", how="all")
+    means = errors.groupby("label").mean().rename("mean, {}".format)
+    table.index = errors.index = pd.Index([" ".join(map(str, key)) for key in errors.index])
+    if not errors.empty:
+        show_errors(pd.concat([errors, means]))
+    for name, reason in table["failure"].dropna().items():
+        say(f"{name}: {reason}")
     if table["failure"].notna().all():
         raise TaskError("All fits failed.")
 
 
 def bench(
-    data: DataArgument,
-    split: SplitOption = "paper",
-    model: Annotated[Path | None, option("Fitted model; without it, one is trained.")] = None,
-    preset: PresetOption = "paper",
-    config: ConfigOption = None,
-    engine: EngineOption = "auto",
-    seed: SeedOption = 0,
-    json_file: JsonOption = None,
-    checkpoint: CheckpointOption = None,
+    data: str = options.DATA,
+    split: str = options.SPLIT,
+    model: Path | None = option(None, "Fitted model; without it, one is trained."),
+    preset: str = options.PRESET,
+    config: Path | None = options.CONFIG,
+    engine: EngineName = options.ENGINE,
+    seed: int = options.SEED,
+    json_file: Path | None = options.JSON,
+    checkpoint: Path | None = _CHECKPOINT,
 ) -> None:
     """Compare errors and times of a model with the baselines."""
     training = {"preset": preset != "paper", "config": config, "seed": seed}
@@ -173,22 +154,18 @@ def bench(
 
 
 def demo(
-    out: Annotated[Path, option("Folder for all files.")] = Path("demo"),
-    seed: Annotated[int, option("Random seed of the waveforms and of the training.", min=0)] = 0,
-    engine: EngineOption = "auto",
+    out: Path = option("demo", "Folder for all files."),
+    seed: int = option(0, "Random seed of the waveforms and of the training.", min=0),
+    engine: EngineName = options.ENGINE,
 ) -> None:
     """Simulate, train, evaluate and predict, in three minutes."""
     from pcnde_bridge.cli.demo import NEXT_STEPS, run_demo
 
     with resumable(f"The state of training is in {out}"):
         result = run_demo(out, seed, engine)
-    show_errors(
-        {
-            f"{name}, {method}": sets[name]
-            for name in ("train", "test")
-            for method, sets in result.errors.items()
-        }
-    )
+    methods = result.errors.items()
+    rows = {f"{s}, {method}": sets[s] for s in ("train", "test") for method, sets in methods}
+    show_errors(pd.DataFrame(rows).T)
     say(NEXT_STEPS.format(folder=out, seconds=result.seconds))
 
 
@@ -209,10 +186,10 @@ def _show_rows(rows: list[benchmark.Row], sets: list[str]) -> None:
     variables = list(rows[0].errors[sets[0]])
     table = Table(show_lines=True, padding=0)  # nine columns fit into 80 characters
     table.add_column("relative error", min_width=13)
-    for title in ("", *error_titles(variables)):
+    for title in ("", *(SHORT_TITLES.get(name, name) for name in variables)):
         table.add_column(title)
-    table.add_column("fit\ns", justify="right")
-    table.add_column("predict\nms per case", justify="right")
+    for title in ("fit\ns", "predict\nms per case"):
+        table.add_column(title, justify="right")
     for row in rows:
         found = [name for name in sets if name in row.errors]
         errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in found) for v in variables)

@@ -1,6 +1,6 @@
 """Figures of data sets, predictions, training and studies.
 
-Each function takes results and returns a matplotlib Figure; :mod:`pcnde_bridge.plots.paper_figures`
+Each function takes results and returns a matplotlib Figure; :mod:`pcnde_bridge.plots.figures`
 writes the paper's figures into files.
 """
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _CELL = 0.34  # size of a matrix cell, inches
 _NARROWEST = 2.6  # width that the titles need, inches
+# Names that matplotlib gives the statistics of a box.
+_BOX = {"median": "med", "lower": "q1", "upper": "q3", "low": "whislo", "high": "whishi"}
 
 
 def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = None) -> Figure:
@@ -102,30 +104,20 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
     for column, name in zip(axes.T, names, strict=True):
         quantity = style.QUANTITIES[name]
         symbol = quantity.name.split()[-1]
-        truth = quantity.convert(getattr(case, name)[0])
-        predicted = quantity.convert(errors.predicted[name])
         if name == "area":
             error, error_label = errors.distance[name], f"|Δ{symbol}| / {symbol}(t = 0)"
         else:
             error = quantity.convert(errors.distance[name])
             error_label = f"|Δ{symbol}| ({quantity.unit})"
-        low, high = min(truth.min(), predicted.min()), max(truth.max(), predicted.max())
-        colors: dict[str, Any] = {"cmap": style.VALUE_COLORS, "vmin": low, "vmax": high}
-        error_colors: dict[str, Any] = {
-            "cmap": style.ERROR_COLORS,
-            "vmin": 0.0,
-            "vmax": error.max(),
-        }
-        values = ((truth, colors), (predicted, colors), (error, error_colors))
-        meshes = [
-            axis.pcolormesh(case.z, case.time, array, shading="nearest", rasterized=True, **look)
-            for axis, (array, look) in zip(column, values, strict=True)
-        ]
-        for mesh, panels, aspect, label in (
-            (meshes[1], column[:2], 30, quantity.label),
-            (meshes[2], column[2], 15, error_label),
+        values = quantity.convert(np.stack([getattr(case, name)[0], errors.predicted[name]]))
+        for panels, arrays, low, cmap, label in (
+            (column[:2], values, values.min(), style.VALUE_COLORS, quantity.label),
+            (column[2:], error[None], 0.0, style.ERROR_COLORS, error_label),
         ):
-            bar = figure.colorbar(mesh, ax=panels, aspect=aspect)
+            look = {"cmap": cmap, "vmin": low, "vmax": arrays.max(), "rasterized": True}
+            for axis, array in zip(panels, arrays, strict=True):
+                mesh = axis.pcolormesh(case.z, case.time, array, shading="nearest", **look)
+            bar = figure.colorbar(mesh, ax=panels, aspect=15 * len(panels))
             bar.set_label(label, fontsize=8)
             bar.ax.tick_params(labelsize=7)
         column[0].set_title(quantity.name, fontsize=10)
@@ -160,20 +152,17 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
     names = list(statistics.index.get_level_values("variable").unique())
     methods = list(statistics.index.get_level_values("method").unique())
     figure, axes = style.new_figure(2.4 * len(names), 3.2, 1, len(names), grid="y", sharey=True)
-    keys = {"med": "median", "q1": "lower", "q3": "upper", "whislo": "low", "whishi": "high"}
     for axis, name in zip(axes[0], names, strict=True):
         rows = statistics.loc[name].reindex(methods).dropna() * 100
-        boxes = [
-            {"label": method, "fliers": []} | {key: row[column] for key, column in keys.items()}
-            for method, row in rows.iterrows()
-        ]
+        boxes = rows.rename(columns=_BOX).assign(label=rows.index).to_dict("records")
         line = {"color": style.TRUTH, "lw": 2}
-        drawn = axis.bxp(boxes, widths=0.55, patch_artist=True, medianprops=line)
-        for number, (_, row) in enumerate(rows.iterrows()):
-            color = (style.PREDICTED, style.OTHER)[number % 2]
-            drawn["boxes"][number].set(facecolor=color, alpha=0.45)
-            axis.plot([number + 1] * 2, [row["high"], row["largest"]], ":", lw=1, color="black")
-            axis.plot(number + 1, row["largest"], "x", ms=6, color="black")
+        look: dict[str, Any] = {"widths": 0.55, "patch_artist": True, "showfliers": False}
+        drawn = axis.bxp(boxes, medianprops=line, **look)
+        for number, (box, patch) in enumerate(zip(boxes, drawn["boxes"], strict=True)):
+            patch.set(facecolor=(style.PREDICTED, style.OTHER)[number % 2], alpha=0.45)
+            ends = [box["whishi"], box["largest"]]
+            axis.plot([number + 1] * 2, ends, ":", lw=1, color="black")
+            axis.plot(number + 1, box["largest"], "x", ms=6, color="black")
         axis.set_title(style.QUANTITIES[name].name, fontsize=10)
         axis.set_ylim(bottom=0)
     axes[0, 0].set_ylabel("pointwise relative error (%)")

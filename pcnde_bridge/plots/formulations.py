@@ -16,15 +16,9 @@ if TYPE_CHECKING:
     from pcnde_bridge.studies import FormulationStudy, LandscapeStudy
     from pcnde_bridge.studies.landscapes import Moment
 
+_DOTS = {"color": style.TRUTH, "ls": "none", "marker": ".", "ms": 5, "mfc": "none", "mew": 0.6}
 _FORMULATIONS: dict[str, dict[str, Any]] = {
-    "truth": {
-        "color": style.TRUTH,
-        "ls": "none",
-        "marker": ".",
-        "ms": 5,
-        "mfc": "none",
-        "mew": 0.6,
-    },
+    "truth": _DOTS,
     "spatial": {"color": style.PREDICTED, "ls": "-", "label": "in space, $f(Q, S)$"},
     "temporal": {"color": style.OTHER, "ls": "-", "label": "in time, $f(Q)$"},
     "temporal_with_time": {"color": "#CC79A7", "ls": "--", "label": "in time, $f(Q, t)$"},

@@ -53,18 +53,15 @@ def time_and_space(
     if len(prediction) != len(cases):
         raise InputError(f"There are {len(cases)} cases, but {len(prediction)} are predicted.")
     style.check_case("case", case, cases)
-    variables = prediction.variables()
+    predicted = {name: values[case] for name, values in prediction.variables().items()}
+    truth = {name: getattr(cases, name)[case] for name in predicted}
     shown = style.z_index_at(cases, position), int(cases.inflow[case].argmax())
-    figure, rows = style.time_and_space_figure(
-        8, 2.4 * len(variables), list(variables), cases, *shown
-    )
-    for panels, (name, values) in zip(rows, variables.items(), strict=True):
-        convert = style.QUANTITIES[name].convert
-        truth, predicted = convert(getattr(cases, name)[case]), convert(values[case])
-        for axis, x, cut in panels:
-            axis.plot(x, truth[cut], "o", ms=3, mfc="none", color=style.TRUTH, label=truth_label)
-            axis.plot(x, predicted[cut], "-", lw=1.6, color=style.PREDICTED, label="PCNDE")
-    rows[0][0].axis.legend(frameon=False, fontsize=9)
+    size = 8, 2.4 * len(predicted)
+    figure, rows = style.time_and_space_figure(*size, list(predicted), cases, *shown)
+    markers = {"ls": "none", "marker": "o", "ms": 3, "mfc": "none", "color": style.TRUTH}
+    style.plot_rows(rows, truth, truth_label, markers)
+    style.plot_rows(rows, predicted, "PCNDE", {"ls": "-", "lw": 1.6, "color": style.PREDICTED})
+    figure.axes[0].legend(frameon=False, fontsize=9)
     return figure
 
 
@@ -111,28 +108,27 @@ def results(
         If the numbers of cases differ, or there is no such case, position or time point.
     """
     names = [name for name in VARIABLES if name in predicted]
+    truth = {name: getattr(cases, name) for name in names}
     # The prediction is drawn last, above the others.
-    methods = [("truth", truth_label, {name: getattr(cases, name) for name in names})]
-    methods += [] if other is None else [("other", other_label, dict(other))]
-    methods += [("model", "PCNDE", dict(predicted))]
-    if any(len(array) != len(cases) for *_, arrays in methods for array in arrays.values()):
+    methods = [
+        (truth, truth_label, style.TRUTH_LINE),
+        (other or {}, other_label, style.OTHER_LINE),
+        (predicted, "PCNDE", style.MODEL_LINE),
+    ]
+    if any(len(array) != len(cases) for arrays, *_ in methods for array in arrays.values()):
         raise InputError(f"predicted and other must have the {len(cases)} cases of the truth.")
     style.check_case("area_case", area_case, cases)
     shown = style.z_index_at(cases, position), style.time_index_at(cases, time_point)
     figure, rows = style.time_and_space_figure(7.2, 2.35 * len(names) + 0.3, names, cases, *shown)
-    for panels, name in zip(rows, names, strict=True):
-        curves = [area_case] if name == "area" else slice(None)
-        for method, label, arrays in methods:
-            if name in arrays:
-                values = style.QUANTITIES[name].convert(arrays[name][curves])
-                for axis, x, cut in panels:
-                    style.plot_curves(axis, x, values[cut], method, label)
-        if name == "area":
-            over_time, over_space = (panel.axis for panel in panels)
-            over_time.set_title(style.case_name(cases, area_case), fontsize=8, loc="right")
-            if cases.n_points > 2 * AREA_MARGIN:
-                for edge in (cases.z[AREA_MARGIN], cases.z[-1 - AREA_MARGIN]):
-                    over_space.axvline(edge, color="black", lw=0.8)
-    style.letter_panels([over_time.axis for over_time, _ in rows])
-    style.add_legend(figure, rows[0][0].axis)
+    for arrays, label, look in methods:
+        one_area = {name: arrays[name][[area_case]] for name in arrays if name == "area"}
+        style.plot_rows(rows, {**arrays, **one_area}, label, look)
+    if "area" in rows:
+        over_time, over_space = (panel.axis for panel in rows["area"])
+        over_time.set_title(style.case_name(cases, area_case), fontsize=8, loc="right")
+        if cases.n_points > 2 * AREA_MARGIN:
+            for edge in (cases.z[AREA_MARGIN], cases.z[-1 - AREA_MARGIN]):
+                over_space.axvline(edge, color="black", lw=0.8)
+    style.letter_panels(figure.axes[::2])
+    style.add_legend(figure, figure.axes[0])
     return figure

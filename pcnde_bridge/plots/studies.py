@@ -33,19 +33,17 @@ def pressure_drops(drops: PressureDrops, *, truth_label: str = "3D, averaged") -
     """
     labels = drops.cases.labels
     figure, axes = style.new_figure(7.2, 3.3, 1, 2)
-    for axis, fixed, varied in (
-        (axes[0, 0], "geometry", "waveforms"),
-        (axes[0, 1], "waveform", "geometries"),
-    ):
+    varied = {"geometry": "waveforms", "waveform": "geometries"}
+    for axis, fixed in zip(axes[0], varied, strict=True):
         largest = labels[fixed].max()
         rows = (labels[fixed] == largest).to_numpy()
-        for method, label, values in (
-            ("truth", truth_label, drops.truth),
-            ("empirical", "Seeley and Young", drops.empirical),
-            ("model", "PCNDE", drops.predicted),
+        for values, label, look in (
+            (drops.truth, truth_label, style.TRUTH_LINE),
+            (drops.empirical, "Seeley and Young", style.EMPIRICAL_LINE),
+            (drops.predicted, "PCNDE", style.MODEL_LINE),
         ):
-            style.plot_curves(axis, drops.cases.time, values[rows] / MMHG, method, label)
-        axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied}", loc="left")
+            style.plot_curves(axis, drops.cases.time, values[rows] / MMHG, label, look)
+        axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied[fixed]}", loc="left")
         axis.set_xlabel(style.TIME_LABEL)
     axes[0, 0].set_ylabel("pressure drop Δp (mmHg)")
     style.letter_panels(axes[0])
@@ -88,13 +86,14 @@ def fourier_effect(
     intermediate = np.concatenate([first, first + effect.drift[case, z_index]])
     figure, [[axis]] = style.new_figure(5.8, 3.3)
     axis.axvline(cases.time[0] + cases.period, color="black", lw=0.8)
-    for method, label, values in (
-        ("truth", truth_label, np.tile(cases.area[case, :, z_index], 2)),
-        ("other", "continuity equation Ŝ", intermediate),
-        ("model", "Fourier stage S", np.tile(effect.final[case, :, z_index], 2)),
+    area = style.QUANTITIES["area"]
+    for values, label, look in (
+        (np.tile(cases.area[case, :, z_index], 2), truth_label, style.TRUTH_LINE),
+        (intermediate, "continuity equation Ŝ", style.OTHER_LINE),
+        (np.tile(effect.final[case, :, z_index], 2), "Fourier stage S", style.MODEL_LINE),
     ):
-        style.plot_curves(axis, time, style.QUANTITIES["area"].convert(values[None]), method, label)
-    axis.set(xlabel=style.TIME_LABEL, ylabel=style.QUANTITIES["area"].label)
+        style.plot_curves(axis, time, area.convert(values), label, look)
+    axis.set(xlabel=style.TIME_LABEL, ylabel=area.label)
     axis.set_title(f"{style.case_name(cases, case)}, z = {cases.z[z_index]:.2f} cm", fontsize=9)
     style.add_legend(figure, axis)
     return figure
@@ -133,19 +132,17 @@ def noise(
     case, names = study.case, list(study.mean)
     shown = style.z_index_at(case, position), style.time_index_at(case, time_point)
     figure, rows = style.time_and_space_figure(7.2, 2.2 * len(names) + 0.3, names, case, *shown)
-    band: dict[str, Any] = {
-        "color": style.PREDICTED,
-        "alpha": 0.25,
-        "lw": 0,
-        "label": "± standard deviation",
-    }
-    for panels, name in zip(rows, names, strict=True):
-        values = getattr(case, name)[0], study.mean[name], study.standard_deviation[name]
-        truth, mean, width = map(style.QUANTITIES[name].convert, values)
+    band: dict[str, Any] = {"color": style.PREDICTED, "alpha": 0.25, "lw": 0}
+    for name, panels in rows.items():
+        values = study.mean[name], study.standard_deviation[name]
+        mean, width = map(style.QUANTITIES[name].convert, values)
         for axis, x, cut in panels:
-            axis.fill_between(x, mean[cut] - width[cut], mean[cut] + width[cut], **band)
-            axis.plot(x, truth[cut], "-", lw=1.4, color=style.TRUTH, label=truth_label)
-            axis.plot(x, mean[cut], "--", lw=1.4, color=style.PREDICTED, label="mean of PCNDE")
-    style.letter_panels([over_time.axis for over_time, _ in rows])
-    style.add_legend(figure, rows[0][0].axis)
+            limits = mean[cut] - width[cut], mean[cut] + width[cut]
+            axis.fill_between(x, *limits, label="± standard deviation", **band)
+    truth = {name: getattr(case, name)[0] for name in names}
+    style.plot_rows(rows, truth, truth_label, {"ls": "-", "lw": 1.4, "color": style.TRUTH})
+    look = {"ls": "--", "lw": 1.4, "color": style.PREDICTED}
+    style.plot_rows(rows, study.mean, "mean of PCNDE", look)
+    style.letter_panels(figure.axes[::2])
+    style.add_legend(figure, figure.axes[0])
     return figure

@@ -7,7 +7,7 @@ whatever the units of the arrays.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,12 +25,10 @@ if TYPE_CHECKING:
 TRUTH, PREDICTED, OTHER, EMPIRICAL = "#D55E00", "#0072B2", "#009E73", "#000000"
 """Colors of the truth, PCNDE, another method, and an empirical formula."""
 
-LINE_STYLES: dict[str, dict[str, Any]] = {
-    "truth": {"ls": "-", "lw": 2.6, "alpha": 0.55, "color": TRUTH},
-    "model": {"ls": "--", "lw": 1.1, "color": PREDICTED},
-    "other": {"ls": ":", "lw": 1.4, "color": OTHER},
-    "empirical": {"ls": ":", "lw": 1.4, "color": EMPIRICAL},
-}
+TRUTH_LINE: dict[str, Any] = {"ls": "-", "lw": 2.6, "alpha": 0.55, "color": TRUTH}
+MODEL_LINE: dict[str, Any] = {"ls": "--", "lw": 1.1, "color": PREDICTED}
+OTHER_LINE: dict[str, Any] = {"ls": ":", "lw": 1.4, "color": OTHER}
+EMPIRICAL_LINE: dict[str, Any] = {"ls": ":", "lw": 1.4, "color": EMPIRICAL}
 """Line style of each method in panels with many curves."""
 
 VALUE_COLORS, ERROR_COLORS = "viridis", "Blues"
@@ -122,7 +120,7 @@ class Panel(NamedTuple):
 
 def time_and_space_figure(
     width: float, height: float, variables: Sequence[str], cases: Cases, z: int, time: int
-) -> tuple[Figure, list[tuple[Panel, Panel]]]:
+) -> tuple[Figure, dict[str, tuple[Panel, Panel]]]:
     """Create a figure with a row per variable, over time (left) and space (right).
 
     Parameters
@@ -138,25 +136,39 @@ def time_and_space_figure(
 
     Returns
     -------
-    Figure, list of (Panel, Panel)
-        The figure and the panels of each variable; the left ones have letters.
+    Figure, dict of (Panel, Panel)
+        The figure and the panels of each variable.
     """
     figure, axes = new_figure(width, height, len(variables), 2)
     axes[0, 0].set_title(f"z = {cases.z[z]:.2f} cm", fontsize=10)
     axes[0, 1].set_title(f"t = {cases.time[time]:.2f} s", fontsize=10)
     axes[-1, 0].set_xlabel(TIME_LABEL)
     axes[-1, 1].set_xlabel(SPACE_LABEL)
-    rows = []
+    rows = {}
     for (left, right), name in zip(axes, variables, strict=True):
         left.set_ylabel(QUANTITIES[name].label)
         over_time = Panel(left, cases.time, np.s_[..., z])
-        rows.append((over_time, Panel(right, cases.z, np.s_[..., time, :])))
+        rows[name] = over_time, Panel(right, cases.z, np.s_[..., time, :])
     return figure, rows
 
 
-def plot_curves(axis: Axes, x: Array, curves: Array, method: str, label: str) -> None:
-    """Plot the curves (curve, x) of a method, with one entry in the legend."""
-    lines = axis.plot(x, curves.T, **LINE_STYLES[method])
+def plot_rows(
+    rows: Mapping[str, Iterable[Panel]],
+    variables: Mapping[str, Array],
+    label: str,
+    look: Mapping[str, Any],
+) -> None:
+    """Plot arrays (..., time, z) of a method in the panels of their variables."""
+    for name, panels in rows.items():
+        if name in variables:
+            values = QUANTITIES[name].convert(variables[name])
+            for axis, x, cut in panels:
+                plot_curves(axis, x, values[cut], label, look)
+
+
+def plot_curves(axis: Axes, x: Array, curves: Array, label: str, look: Mapping[str, Any]) -> None:
+    """Plot curves (..., x) of a method, with one entry in the legend."""
+    lines = axis.plot(x, curves.T, **look)
     lines[0].set_label(label)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -32,20 +33,23 @@ from pcnde_bridge.plots import loss_history
 def unpainted(request, monkeypatch):
     """Draw no figures, which would take longest; one test draws them."""
     if request.node.name != "test_everything_is_there":
-        monkeypatch.setattr(
-            module, "_write_figure", lambda path, figure: path.write_bytes(b"\x89PNG")
-        )
+        blank = SimpleNamespace(savefig=lambda path, **_: path.write_bytes(b"\x89PNG"))
+        for name in ("time_and_space", "loss_history"):
+            monkeypatch.setattr(module, name, lambda *_, **__: blank)
+
+
+@pytest.fixture(autouse=True)
+def small_demo(monkeypatch, small_cases, toy_engine, toy_config):
+    """Few cases, and nothing to compile."""
+    monkeypatch.setattr(module, "synthetic", lambda seed: small_cases)
+    monkeypatch.setattr(module, "select_engine", lambda name: toy_engine)
+    monkeypatch.setattr(module, "FAST", toy_config)
 
 
 @pytest.fixture
-def demo(tmp_path, small_cases, toy_engine, toy_config):
-    """Run the demo with few cases, without compiling."""
-
-    def demo(out=tmp_path / "demo", **changes):
-        options = {"engine": toy_engine, "config": toy_config, "cases": small_cases}
-        return run_demo(out, progress=False, **{**options, **changes})
-
-    return demo
+def demo(tmp_path):
+    """Run the demo."""
+    return lambda out=tmp_path / "demo", **changes: run_demo(out, **changes)
 
 
 def test_everything_is_there(demo, tmp_path, small_cases):
@@ -178,12 +182,8 @@ def test_no_history_no_figure():
 
 
 @pytest.fixture
-def run(monkeypatch, small_cases, toy_engine, toy_config, run_pcnde):
+def run(monkeypatch, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(module, "synthetic", lambda **_: small_cases)
-    monkeypatch.setattr(module, "select_engine", lambda name, **_: toy_engine)
-    monkeypatch.setattr(module, "resolve_config", lambda name: toy_config)
-
     return run_pcnde
 
 

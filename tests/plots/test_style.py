@@ -23,8 +23,8 @@ def test_color_blind_readers_can_distinguish_the_curves_of_a_figure(seen):
         rgb = np.array(to_rgb(color))
         return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
-    for names in (("truth", "model", "other"), ("truth", "model", "empirical")):
-        looks = [style.LINE_STYLES[name] for name in names]
+    for third in (style.OTHER_LINE, style.EMPIRICAL_LINE):
+        looks = [style.TRUTH_LINE, style.MODEL_LINE, third]
         colors = [np.cbrt(np.clip(np.array(seen) @ linear(k["color"]), 0, 1)) for k in looks]
         for i, j in combinations(range(3), 2):
             assert np.linalg.norm(colors[i] - colors[j]) > 0.2

@@ -18,11 +18,11 @@ from pcnde_bridge import (
 )
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.model.metrics import pooled_errors
-from pcnde_bridge.plots import paper_figures as module
-from pcnde_bridge.plots.paper_figures import (
+from pcnde_bridge.plots import figures as module
+from pcnde_bridge.plots.figures import (
+    COSTS,
     FIGURES,
     FigureData,
-    PaperFigure,
     choose,
     hardest_case,
     make_figures,
@@ -30,18 +30,24 @@ from pcnde_bridge.plots.paper_figures import (
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
 
-ALWAYS = [figure.name for figure in FIGURES if not figure.cost]
+ALWAYS = [name for name in FIGURES if name not in COSTS]
 
 
 @pytest.fixture
 def without_pictures(monkeypatch):
-    """Write no pictures, which would take longest; other tests draw the figures."""
+    """Write no pictures, which would take longest; other tests draw the figures.
 
-    def write(folder, name, drawn):
-        (folder / f"{name}.png").write_bytes(b"\x89PNG")
-        return (folder / f"{name}.png",)
+    Yields the numbers by the name of the figure.
+    """
+    found = {}
+
+    def write(stem, figure, numbers):
+        found[stem.name] = numbers
+        stem.with_suffix(".png").write_bytes(b"\x89PNG")
+        return [stem.with_suffix(".png")]
 
     monkeypatch.setattr(module, "_write", write)
+    return found
 
 
 @pytest.fixture
@@ -75,17 +81,15 @@ NEW_FLOW_FITS = ("smoothness", "loss-landscapes")
 
 def test_every_figure_is_made(data, tmp_path, without_pictures):
     seen = []
-    entries = [figure for figure in FIGURES if figure.name not in NEW_FLOW_FITS]
-    made = make_figures(
-        data,
-        tmp_path / "out",
-        only=[entry.name for entry in entries],
-        on_figure=lambda number, count, entry: seen.append((number, count, entry.name)),
-    )
-    assert seen == [(i, len(entries), entry.name) for i, entry in enumerate(entries, 1)]
-    assert [result.reason for result in made] == [""] * len(entries)
-    assert len(list((tmp_path / "out").iterdir())) == len(entries)
-    tables = {result.figure.name: result.numbers for result in made}
+    names = [name for name in FIGURES if name not in NEW_FLOW_FITS]
+    made = make_figures(data, tmp_path / "out", only=names, announce=seen.append)
+    assert [line.partition(":")[0] for line in seen] == [
+        f"[{i}/{len(names)}] {name}" for i, name in enumerate(names, 1)
+    ]
+    assert list(made) == names
+    assert all(made.values())
+    assert len(list((tmp_path / "out").iterdir())) == len(names)
+    tables = without_pictures
 
     test = data.test
     expected = pooled_errors(data.model.predict(test).variables(), test)
@@ -100,8 +104,8 @@ def test_every_figure_is_made(data, tmp_path, without_pictures):
 
 def test_files_are_complete_and_reproducible(data, tmp_path):
     for folder in ("one", "two"):
-        (made,) = make_figures(data, tmp_path / folder, only=["box-plots"])
-        assert [path.name for path in made.files] == [
+        (made,) = make_figures(data, tmp_path / folder, only=["box-plots"]).values()
+        assert [path.name for path in made] == [
             "box-plots.png",
             "box-plots.pdf",
             "box-plots.csv",
@@ -111,8 +115,8 @@ def test_files_are_complete_and_reproducible(data, tmp_path):
         assert one.read_bytes().startswith(start)
         assert one.read_bytes() == two.read_bytes()
     read = pd.read_csv(tmp_path / "one" / "box-plots.csv", index_col=["variable", "method"])
-    pd.testing.assert_frame_equal(read, made.numbers)
-    assert {p.name for p in (tmp_path / "one").iterdir()} == {f.name for f in made.files}
+    pd.testing.assert_frame_equal(read, FIGURES["box-plots"][0](data)[1])
+    assert {p.name for p in (tmp_path / "one").iterdir()} == {f.name for f in made}
 
 
 def test_a_failure_leaves_no_partial_file(data, tmp_path, monkeypatch):
@@ -123,9 +127,9 @@ def test_a_failure_leaves_no_partial_file(data, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     def draw(data):
-        return module.DrawnFigure(SimpleNamespace(savefig=savefig))
+        return SimpleNamespace(savefig=savefig), None
 
-    monkeypatch.setattr(module, "FIGURES", (PaperFigure("box-plots", "", draw),))
+    monkeypatch.setattr(module, "FIGURES", {"box-plots": (draw, "")})
     with pytest.raises(FileError, match="disk is full"):
         make_figures(data, tmp_path)
     assert (tmp_path / "box-plots.png").read_text() == "old"
@@ -138,13 +142,14 @@ def test_unsuitable_figures_are_left_out_or_rejected(data, tmp_path, without_pic
     chosen = [name for name in ALWAYS if not name.startswith("noise")]
     with pytest.raises(InputError, match="fourier-effect: This study needs the paper's equations"):
         make_figures(data, tmp_path, only=chosen)
-    entries = tuple(figure for figure in FIGURES if figure.name in chosen)
+    said = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "FIGURES", entries)
-        made = make_figures(data, tmp_path)
-    left = {result.figure.name: result.reason for result in made if result.reason}
-    assert list(left) == ["fourier-effect"]
-    assert "needs the paper's equations" in left["fourier-effect"]
+        patch.setattr(module, "FIGURES", {name: FIGURES[name] for name in chosen})
+        made = make_figures(data, tmp_path, announce=said.append)
+    assert [name for name, files in made.items() if not files] == ["fourier-effect"]
+    (reason,) = (line for line in said if "left out" in line)
+    assert reason.startswith("fourier-effect is left out. ")
+    assert "needs the paper's equations" in reason
 
 
 def test_divergence_affects_one_figure_only(data, tmp_path, without_pictures, monkeypatch):
@@ -152,9 +157,11 @@ def test_divergence_affects_one_figure_only(data, tmp_path, without_pictures, mo
         raise SolveError("case 3 diverges")
 
     monkeypatch.setattr("pcnde_bridge.studies.noise_study", diverges)
-    made = make_figures(data, tmp_path)
-    left = {result.figure.name: result.reason for result in made if result.reason}
-    assert left == dict.fromkeys(["noise-inflow", "noise-area"], "case 3 diverges")
+    said = []
+    make_figures(data, tmp_path, announce=said.append)
+    assert [line for line in said if "left out" in line] == [
+        f"{name} is left out. case 3 diverges" for name in ("noise-inflow", "noise-area")
+    ]
     with pytest.raises(SolveError, match="noise-area: case 3 diverges"):
         make_figures(data, tmp_path, only=["noise-area"])
 
@@ -180,16 +187,16 @@ def test_an_unsuitable_other_method_is_omitted(data, caplog):
             raise InputError("the points are too far apart")
 
     data.other = Unsuitable()
-    assert data.by_other(data.evaluated) is None
+    assert list(data.by_method(data.evaluated)) == ["PCNDE"]
     assert "too far apart" in caplog.text
-    assert data.by_other(data.evaluated) is None
+    assert list(data.by_method(data.evaluated)) == ["PCNDE"]
 
 
 def test_without_test_cases_the_training_cases_are_evaluated(toy_model, small_cases):
     data = FigureData(toy_model, small_cases, small_cases, other=None)
     assert data.evaluated is small_cases
     assert data.hardest.labels[["geometry", "waveform"]].to_numpy().tolist() == [[3, 3]]
-    assert list(module._results.draw(data).numbers.index) == [("PCNDE", "train")]
+    assert list(FIGURES["results"][0](data)[1].index) == [("PCNDE", "train")]
 
 
 def test_predictions_match_their_cases(data, small_cases):
@@ -197,7 +204,7 @@ def test_predictions_match_their_cases(data, small_cases):
     alone = data.model.predict(shuffled).flow
     assert data.predicted(shuffled)["flow"].tolist() == alone.tolist()
     with pytest.raises(KeyError):
-        data.by_other(data.train)
+        data.by_method(data.train)
 
 
 def test_smoothness_names_the_truth(data, monkeypatch):
@@ -205,7 +212,7 @@ def test_smoothness_names_the_truth(data, monkeypatch):
     monkeypatch.setattr(module.studies, "compare_formulations", lambda *_, **__: study)
     monkeypatch.setattr(module.plots, "smoothness", lambda _, **options: seen.update(options))
     data.truth_label = "1D solver"
-    module._smoothness.draw(data)
+    FIGURES["smoothness"][0](data)
     assert seen == {"truth_label": "1D solver"}
 
 
@@ -215,15 +222,11 @@ def test_hardest_case(small_cases):
 
 
 def test_choosing():
-    assert [entry.name for entry in choose()] == ALWAYS
-    assert [entry.name for entry in choose(with_studies=True)] == [e.name for e in FIGURES]
-    assert [entry.name for entry in choose(["activations", "results"])] == [
-        "results",
-        "activations",
-    ]
+    assert choose() == ALWAYS
+    assert choose(with_studies=True) == list(FIGURES)
+    assert choose(["activations", "results"]) == ["results", "activations"]
     with pytest.raises(InputError, match=r"no figure 'result'; the figures are: data-set, history"):
         choose(["result"])
-    assert len({figure.name for figure in FIGURES}) == len(FIGURES)
 
 
 # ---- the command line ---------------------------------------------------------
@@ -247,9 +250,9 @@ def test_figures_with_new_flow_fits(small_model, small_cases, small_split, tmp_p
     made = make_figures(
         FigureData(small_model, small_cases, train, test, other=None), tmp_path, only=NEW_FLOW_FITS
     )
-    for result in made:
-        assert {path.suffix for path in result.files} == {".png", ".pdf", ".csv"}
-        assert len(result.numbers)
+    for files in made.values():
+        assert [path.suffix for path in files] == [".png", ".pdf", ".csv"]
+        assert len(pd.read_csv(files[-1]))
 
 
 def test_pcnde_figures(run_pcnde, files, without_pictures):
