@@ -12,10 +12,9 @@ Dash would delay drawing until the outputs that it depends on are available.
 from __future__ import annotations
 
 import base64
-import binascii
 import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -23,7 +22,7 @@ from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_u
 from dash.exceptions import PreventUpdate
 
 from pcnde_bridge.app import page
-from pcnde_bridge.app.explorer import Explorer, ResultCache, Scores
+from pcnde_bridge.app.explorer import Explorer
 from pcnde_bridge.app.inputs import Inputs, read_waveform
 from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.hemodynamics.waveform import Waveform
@@ -32,6 +31,16 @@ from pcnde_bridge.uncertainty.novelty import EDGE
 _NUMBERS = ("blockage", "position", "length", "scale")
 _CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("waveform", "data")}
 """Component and property of each choice."""
+
+_DRAWN = (
+    *("along.figure", "over.figure", "along-title.children", "over-title.children"),
+    *("novelty.children", "novelty.className", "message.children", "progress.children"),
+)
+_UPLOADED = (
+    *("waveform.data", "uploaded.children", "uploaded.className"),
+    *("scale.value", "reset.hidden", "upload.contents"),
+)
+"""Component and property of each output of the callbacks that draw, and read a file."""
 
 
 def connect(app: Dash, explorer: Explorer) -> None:
@@ -59,18 +68,14 @@ def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
     return explorer.choices.inputs(**numbers, waveform=waveform)
 
 
+def _outputs(names: Iterable[str]) -> dict[str, Output]:
+    parts = {name: name.split(".") for name in names}
+    return {name: Output(component, value) for name, (component, value) in parts.items()}
+
+
 def _connect_drawing(app: Dash, explorer: Explorer) -> None:
     @app.callback(
-        output={
-            "along": Output("along", "figure"),
-            "over": Output("over", "figure"),
-            "along_title": Output("along-title", "children"),
-            "over_title": Output("over-title", "children"),
-            "novelty": Output("novelty", "children"),
-            "novelty_class": Output("novelty", "className"),
-            "message": Output("message", "children"),
-            "progress": Output("progress", "children"),
-        },
+        output=_outputs(_DRAWN),
         inputs={
             "values": {name: Input(*component) for name, component in _CONTROLS.items()},
             "time_index": Input("time-point", "value"),
@@ -90,37 +95,38 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
             inputs = _inputs(explorer, values)
             along, over = explorer.along(inputs, time_index), explorer.over(inputs, z_index)
         except PCNDEError as error:
-            empty = page.redraw(dict.fromkeys(explorer.variables, page.NO_CURVES), 0, {})
-            titles = dict.fromkeys(("along_title", "over_title"), no_update)
-            texts = dict.fromkeys(("novelty", "novelty_class", "progress"), "")
-            return {"along": empty, "over": empty, "message": str(error)} | titles | texts
+            empty = page.redraw({name: {} for name in explorer.variables}, 0)
+            unchanged = dict.fromkeys(("along-title.children", "over-title.children"), no_update)
+            figures = {"along.figure": empty, "over.figure": empty}
+            return (
+                dict.fromkeys(_DRAWN, "") | unchanged | figures | {"message.children": str(error)}
+            )
         found = explorer.prediction(inputs)
-        t, z = float(found.time[time_index]), float(found.z[z_index])
-        traces = {page.INTERVAL: "interval" in shown, page.SOLVER: "solver" in shown}
-        outside, novelty = _describe_novelty(explorer.novelty(inputs))
+        t, z = found.time[time_index], found.z[z_index]
+        hidden = page.COMPARISONS.keys() - set(shown)
+        css_class, novelty = _describe_novelty(explorer.novelty(inputs))
         return {
-            "along": page.redraw(along, z, traces),
-            "over": page.redraw(over, t, traces),
-            "along_title": f"Along the vessel at t = {t:.2f} s",
-            "over_title": f"Over one cycle at z = {z:.2f} cm",
-            "novelty": novelty,
-            "novelty_class": "outside" if outside else "inside",
-            "message": "",
-            "progress": _describe_progress(explorer, inputs, shown),
+            "along.figure": page.redraw(along, float(z), hidden),
+            "over.figure": page.redraw(over, float(t), hidden),
+            "along-title.children": f"Along the vessel at t = {t:.2f} s",
+            "over-title.children": f"Over one cycle at z = {z:.2f} cm",
+            "novelty.children": novelty,
+            "novelty.className": css_class,
+            "message.children": "",
+            "progress.children": _describe_progress(explorer, inputs, shown),
         }
 
 
-def _describe_novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
-    """Return whether the inputs are outside the training data, and a description."""
-    if scores is None:
-        return True, ["No novelty score: this model has no record of its training data."]
-    parts = scores._asdict()
-    beyond = [name for name, score in parts.items() if score > EDGE]
-    numbers = ", ".join(f"{name} {score:.2f}" for name, score in parts.items())
+def _describe_novelty(scores: Mapping[str, float]) -> tuple[str, list[Any]]:
+    """Return ``inside`` or ``outside`` the training data, and a description."""
+    if not scores:
+        return "outside", ["No novelty score: this model has no record of its training data."]
+    beyond = [name for name, score in scores.items() if score > EDGE]
+    numbers = ", ".join(f"{name} {score:.2f}" for name, score in scores.items())
     small = html.Small(f"Novelty: {numbers}; above 1 is outside.")
     if not beyond:
-        return False, [html.Strong("Inside the training data"), small]
-    return True, [
+        return "inside", [html.Strong("Inside the training data"), small]
+    return "outside", [
         html.Strong("Outside the training data"),
         f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any "
         "training case. The model extrapolates: do not rely on this prediction.",
@@ -130,15 +136,13 @@ def _describe_novelty(scores: Scores | None) -> tuple[bool, list[Any]]:
 
 def _describe_progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]:
     """Report the state of the interval and the 1D solver."""
-    caches: dict[str, ResultCache[Any]]
-    caches = {"interval": explorer.interval, "solver": explorer.solution}
     lines = []
-    for name in (name for name in caches if name in shown):
-        result, css = caches[name].cached(inputs), ""
-        state = result if isinstance(result, PCNDEError) else "shown."
-        if result is None:
-            state, css = "computing …", "computing"
-        lines.append(html.Span(f"{page.COMPARISONS[name]}: {state}", className=css))
+    for name, cache in explorer.comparisons.items():
+        if name in shown:
+            result = cache.cached(inputs)
+            state = result if isinstance(result, PCNDEError) else "shown."
+            state, css = ("computing …", "computing") if result is None else (state, "")
+            lines.append(html.Span(f"{page.COMPARISONS[name]}: {state}", className=css))
     return lines
 
 
@@ -148,7 +152,7 @@ def _connect_comparison(app: Any, explorer: Explorer) -> None:
         *(Input(*component) for component in _CONTROLS.values()),
         Input("shown", "value"),
     )
-    for name, compute in (("interval", explorer.interval), ("solver", explorer.solution)):
+    for name, compute in explorer.comparisons.items():
         callback = _compute_latest(explorer, name, compute)
         app.callback(Output(name, "data"), Input("settled", "data"))(callback)
 
@@ -178,14 +182,7 @@ def _compute_latest(
 
 def _connect_upload(app: Dash, explorer: Explorer) -> None:
     @app.callback(
-        output={
-            "waveform": Output("waveform", "data"),
-            "note": Output("uploaded", "children"),
-            "note_class": Output("uploaded", "className"),
-            "scale": Output("scale", "value"),
-            "reset_hidden": Output("reset", "hidden"),
-            "contents": Output("upload", "contents"),
-        },
+        output=_outputs(_UPLOADED),
         inputs={
             "contents": Input("upload", "contents"),
             "_reset": Input("reset", "n_clicks"),
@@ -194,37 +191,22 @@ def _connect_upload(app: Dash, explorer: Explorer) -> None:
         prevent_initial_call=True,
     )
     def upload(contents: str | None, _reset: int, name: str | None) -> dict[str, Any]:
+        def changes(*values: Any) -> dict[str, Any]:
+            # The contents are cleared, so that the same file can be uploaded again.
+            return dict(zip(_UPLOADED, (*values, None), strict=True))
+
         choices = explorer.choices
-        # The contents are cleared, so that the same file can be uploaded again.
-        result: dict[str, Any] = {"note_class": "hint", "contents": None}
         if ctx.triggered_id == "reset":
-            note, scale = page.waveform_note(choices), choices.scale.start
-            return result | {"waveform": None, "note": note, "scale": scale, "reset_hidden": True}
+            return changes(None, page.waveform_note(choices), "hint", choices.scale.start, True)
         if contents is None:
             raise PreventUpdate
         try:
-            waveform, note = read_waveform(decode(contents), name or "The file", explorer.model)
+            content = base64.b64decode(contents.partition(",")[2])  # data:TYPE;base64,…
+            waveform, note = read_waveform(content, name or "The file", explorer.model)
         except InputError as error:
-            unchanged = dict.fromkeys(("waveform", "scale", "reset_hidden"), no_update)
-            note = f"The file was rejected. {error}"
-            return result | unchanged | {"note": note, "note_class": "problem"}
-        note = f"Scale 1 is {note}"
-        changed = {"waveform": asdict(waveform), "scale": 1.0, "reset_hidden": False}
-        return result | changed | {"note": note}
-
-
-def decode(contents: str) -> bytes:
-    """Return the bytes of a file as the browser sends it: ``data:TYPE;base64,…``.
-
-    Raises
-    ------
-    InputError
-        If the contents have another form.
-    """
-    try:
-        return base64.b64decode(contents.partition(",")[2], validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InputError(f"The upload is incomplete: {error}; try again.") from error
+            problem = f"The file was rejected. {error}", "problem"
+            return changes(no_update, *problem, no_update, no_update)
+        return changes(asdict(waveform), f"Scale 1 is {note}", "hint", 1.0, False)
 
 
 def _connect_download(app: Dash, explorer: Explorer) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,7 +12,6 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.app.inputs import Choices, Inputs
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.solver import Tube1D
@@ -37,35 +34,10 @@ class Line(NamedTuple):
     y: Array
 
 
-class Scores(NamedTuple):
-    """Distances of waveform, vessel and period from the training data; 1 is its edge."""
-
-    waveform: float
-    vessel: float
-    period: float
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Curves of one variable.
-
-    Attributes
-    ----------
-    predicted : Line
-        Prediction of the model.
-    low, high : Line or None
-        Limits of the 90 % interval, if it has been computed.
-    solver : Line or None
-        Solution of the 1D solver, if it has been computed.
-    given : Line or None
-        Inflow or undeformed area, the inputs of the prediction.
-    """
-
-    predicted: Line
-    low: Line | None = None
-    high: Line | None = None
-    solver: Line | None = None
-    given: Line | None = None
+Panel = dict[str, Line]
+"""Curves of one variable: ``prediction``; ``given``, the inflow or the undeformed area;
+``interval``, the outline of the 90 % interval, and ``solver``, the solution of the 1D solver,
+if they have been computed."""
 
 
 class ResultCache(Generic[T]):
@@ -76,7 +48,7 @@ class ResultCache(Generic[T]):
 
     def __init__(self, compute: Callable[[Inputs], T]) -> None:
         self._compute = compute
-        self._results: OrderedDict[Inputs, T | PCNDEError] = OrderedDict()
+        self._results: dict[Inputs, T | PCNDEError] = {}
         self._computing = threading.Lock()
 
     def cached(self, inputs: Inputs) -> T | PCNDEError | None:
@@ -100,7 +72,7 @@ class ResultCache(Generic[T]):
                     result = error
                 self._results[inputs] = result
                 if len(self._results) > _CACHE_SIZE:
-                    self._results.popitem(last=False)
+                    del self._results[next(iter(self._results))]
         if isinstance(result, PCNDEError):
             raise result
         return result
@@ -126,6 +98,8 @@ class Explorer:
         Limits of 90 % intervals, see :meth:`~pcnde_bridge.Prediction.interval`.
     solution : ResultCache of Cases
         Solution of the 1D solver, see :meth:`solver_setup`.
+    comparisons : dict of ResultCache
+        ``interval`` and ``solver``: the results that the prediction can be compared with.
     """
 
     def __init__(self, model: PCNDE, samples: int = 64) -> None:
@@ -137,6 +111,9 @@ class Explorer:
             lambda inputs: self._predict(inputs, self.samples).interval(0.9)
         )
         self.solution: ResultCache[Cases] = ResultCache(self._solve)
+        self.comparisons: dict[str, ResultCache[Any]] = {"solver": self.solution}
+        if self.samples:
+            self.comparisons = {"interval": self.interval, **self.comparisons}
 
     @property
     def variables(self) -> list[str]:
@@ -169,41 +146,39 @@ class Explorer:
         inputs : Inputs
             Inputs of the prediction.
         """
-        known = self.model.parameters
-        if not isinstance(known, ClosureParameters):
-            if not self.model.has_pressure:
-                return Tube1D(), Windkessel(OUTLET_RESISTANCE)
+        learned = dict(self.model.parameters)
+        if "wall" in learned:
+            wall, radius = learned["wall"], inputs.vessel.diameter / 2
+            membrane = len(wall) == 5
+            stiffness = float(wall[0]) / (radius if membrane else 1.0)
+            # The linear law depends on E, h and r₀ through 4/3·E·h/r₀ only.
+            law = LinearWall(0.75 * stiffness, radius, radius, float(wall[-1]))
+            return Tube1D(wall=law), Windkessel(*map(float, learned["outlet"]))
+        if self.model.has_pressure:
             return Tube1D(), Windkessel(outlet_resistance(self.prediction(inputs).to_cases()))
-        membrane = len(known.wall) == 5
-        radius = inputs.vessel.diameter / 2
-        stiffness = float(known.wall[0]) / (radius if membrane else 1.0)
-        # The linear law depends on E, h and r₀ through 4/3·E·h/r₀ only.
-        wall = LinearWall(0.75 * stiffness, radius, radius, float(known.wall[-1]))
-        return Tube1D(wall=wall), Windkessel(*(float(value) for value in known.outlet))
+        return Tube1D(), Windkessel(OUTLET_RESISTANCE)
 
     def _solve(self, inputs: Inputs) -> Cases:
         tube, outlet = self.solver_setup(inputs)
         return tube.simulate([inputs.vessel], [inputs.waveform], outlet)
 
-    def novelty(self, inputs: Inputs) -> Scores | None:
-        """Return the novelty scores of the inputs; None if the model has no training data."""
+    def novelty(self, inputs: Inputs) -> dict[str, float]:
+        """Return the distances of waveform, vessel and period from the training data.
+
+        The edge of the training data is 1.  A model without record of them has none.
+        """
         found = self.prediction(inputs)
         grid = Grid(found.time, found.z, found.period)
         scores = self.model.novelty_scores(found.flow[:, :, 0], found.area_undeformed, grid)
-        if not scores:
-            return None
-        named = scores["inflow"], scores["undeformed area"], scores["period"]
-        return Scores(*(float(score[0]) for score in named))
+        names = {"inflow": "waveform", "undeformed area": "vessel", "period": "period"}
+        return {names[name]: float(score[0]) for name, score in scores.items()}
 
     def csv(self, inputs: Inputs) -> str:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""
         return self._predict(inputs, self.samples).to_frame().to_csv(index=False)
 
     def along(self, inputs: Inputs, time_index: int) -> dict[str, Panel]:
-        """Return the curves along the vessel at a time point of the model's grid.
-
-        Interval and solution are included if they have been computed.
-        """
+        """Return the curves along the vessel at a time point of the model's grid."""
         found = self.prediction(inputs)
         time, start = found.time[time_index], found.z[0]
 
@@ -215,10 +190,7 @@ class Explorer:
         return self._panels(inputs, found.z, np.s_[0, time_index, :], solved, given)
 
     def over(self, inputs: Inputs, z_index: int) -> dict[str, Panel]:
-        """Return the curves over one cycle at a point of the model's grid.
-
-        Interval and solution are included if they have been computed.
-        """
+        """Return the curves over one cycle at a point of the model's grid."""
         found = self.prediction(inputs)
         z = found.z[z_index] - found.z[0]
 
@@ -241,15 +213,14 @@ class Explorer:
         panels = {}
         for name in self.variables:
             convert = QUANTITIES[name].convert
-            curves = {"predicted": Line(x, convert(values[name][cut]))}
+            panel = {"prediction": Line(x, convert(values[name][cut]))}
             if isinstance(limits, Mapping):
-                low, high = limits[name]
-                curves["low"], curves["high"] = (
-                    Line(x, convert(limit[cut])) for limit in (low, high)
-                )
+                low, high = (convert(limit[cut]) for limit in limits[name])
+                there_and_back = (x, x[::-1]), (low, high[::-1])
+                panel["interval"] = Line(*map(np.concatenate, there_and_back))
             if isinstance(cases, Cases):
-                curves["solver"] = solved(cases, convert(getattr(cases, name)[0]))
+                panel["solver"] = solved(cases, convert(getattr(cases, name)[0]))
             if name in given:
-                curves["given"] = Line(x, convert(given[name]))
-            panels[name] = Panel(**curves)
+                panel["given"] = Line(x, convert(given[name]))
+            panels[name] = panel
         return panels

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,30 +14,25 @@ from pcnde_bridge.app.explorer import Explorer, Line, Panel
 from pcnde_bridge.app.inputs import Choices, Span
 from pcnde_bridge.plots.style import PREDICTED, QUANTITIES, SPACE_LABEL, TIME_LABEL, TRUTH
 
-INTERVAL, GIVEN, SOLVER, PREDICTION = range(4)
-"""Order of the traces of a panel."""
-
 LARGEST_UPLOAD = 1_000_000
 """Largest size of an uploaded file, bytes."""
 
-NO_CURVES = Panel(Line(np.empty(0), np.empty(0)))
-"""Panel without curves."""
-
 COMPARISONS = {"interval": "90 % interval", "solver": "1D solver"}
-"""Methods that the prediction can be compared with."""
+"""Titles of the results that the prediction can be compared with."""
 
+_NO_LINE = Line(np.empty(0), np.empty(0))
 _DIGITS = 6  # far below the visible differences, so that little is sent
 _INK, _RULE, _AXIS = "#1f2933", "#e4e7eb", "#9aa5b1"
-_EMPTY: list[float] = []
 _SLIDER: dict[str, Any] = {"marks": None, "updatemode": "drag", "included": False}
 
-_TRACES: tuple[dict[str, Any], ...] = (
-    {"name": "90 % interval", "fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.22)"}
+_TRACES: dict[str, dict[str, Any]] = {
+    "interval": {"name": "90 % interval", "fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.22)"}
     | {"line": {"width": 0}, "hoverinfo": "skip"},
-    {"name": "given", "line": {"color": "#6b7280", "width": 1.5, "dash": "dot"}},
-    {"name": "1D solver", "line": {"color": TRUTH, "width": 2, "dash": "dash"}},
-    {"name": "prediction", "line": {"color": PREDICTED, "width": 2.5}},
-)
+    "given": {"name": "given", "line": {"color": "#6b7280", "width": 1.5, "dash": "dot"}},
+    "solver": {"name": "1D solver", "line": {"color": TRUTH, "width": 2, "dash": "dash"}},
+    "prediction": {"name": "prediction", "line": {"color": PREDICTED, "width": 2.5}},
+}
+"""Look of each curve of a panel, in the order in which they are drawn."""
 
 
 def layout(explorer: Explorer, name: str) -> html.Div:
@@ -56,12 +51,17 @@ def layout(explorer: Explorer, name: str) -> html.Div:
     facts = f"trained on {cases} cases, " if cases else ""
     facts += f"{n_times} time points × {n_points} grid points"
     peak = int(choices.initial.waveform.samples(n_times).argmax())
+    comparisons = {name: COMPARISONS[name] for name in explorer.comparisons}
     units = html.Small("units s, cm, mL/s, cm², dyn/cm²")
     aside = [
         html.Div(id="novelty", role="status"),
         html.Div(id="message", role="alert"),
         *_controls(choices),
-        _comparison(explorer),
+        _group(
+            "Compare with",
+            dcc.Checklist(comparisons, list(comparisons), inline=True, id="shown"),
+            html.P(id="progress", className="hint"),
+        ),
         html.Button(["Download prediction (CSV)", units], id="download", n_clicks=0),
     ]
     columns = [
@@ -69,7 +69,7 @@ def layout(explorer: Explorer, name: str) -> html.Div:
         # 90 % of the length, as in the paper's figures.
         _column(explorer, "over", TIME_LABEL, "grid-point", n_points, round(0.9 * n_points)),
     ]
-    graphs = html.Section([_legend(explorer), html.Div(columns, className="columns")])
+    graphs = html.Section([_legend(comparisons), html.Div(columns, className="columns")])
     stores = [dcc.Store(id=k) for k in ("waveform", "settled", "interval", "solver", "done")]
     header = html.Header([html.H1("PCNDE"), html.Strong(name), html.Span(facts)])
     main = html.Main([html.Aside(aside), graphs])
@@ -125,26 +125,14 @@ def _slider(name: str, label: str, span: Span, source: str, factor: float = 1) -
     return html.Div([html.Div(heading, className="label"), slider], className="control")
 
 
-def _comparison(explorer: Explorer) -> html.Div:
-    options = _comparisons(explorer)
-    return _group(
-        "Compare with",
-        dcc.Checklist(options, list(options), inline=True, id="shown"),
-        html.P(id="progress", className="hint"),
-    )
-
-
-def _legend(explorer: Explorer) -> html.Div:
-    kinds = {"prediction": "prediction (PCNDE)", **_comparisons(explorer)}
+def _legend(comparisons: Mapping[str, str]) -> html.Div:
+    kinds = {"prediction": "prediction (PCNDE)", **comparisons}
     kinds["given"] = "given: inflow, undeformed area"
-    keys = {kind: html.I(className=f"key {kind}") for kind in kinds}
-    entries = [html.Span([keys[kind], text], className="entry") for kind, text in kinds.items()]
+    entries = [
+        html.Span([html.I(className=f"key {kind}"), text], className="entry")
+        for kind, text in kinds.items()
+    ]
     return html.Div(entries, className="legend")
-
-
-def _comparisons(explorer: Explorer) -> dict[str, str]:
-    """Return the comparisons that the model allows."""
-    return {k: text for k, text in COMPARISONS.items() if k != "interval" or explorer.samples}
 
 
 def _column(
@@ -170,8 +158,8 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
     names = explorer.variables
     figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.05)
     for row, name in enumerate(names, start=1):
-        for trace in _TRACES:
-            figure.add_trace(go.Scatter(x=_EMPTY, y=_EMPTY, mode="lines", **trace), row=row, col=1)
+        for trace in _TRACES.values():
+            figure.add_trace(go.Scatter(x=[], y=[], mode="lines", **trace), row=row, col=1)
         figure.update_yaxes(title_text=QUANTITIES[name].label, row=row, col=1)
     figure.update_xaxes(title_text=abscissa, row=len(names), col=1)
     axis = {"gridcolor": _RULE, "zeroline": False, "showline": True, "linecolor": _AXIS}
@@ -192,7 +180,7 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
     return figure
 
 
-def redraw(panels: Mapping[str, Panel], marker: float, shown: Mapping[int, bool]) -> Patch:
+def redraw(panels: Mapping[str, Panel], marker: float, hidden: Collection[str] = ()) -> Patch:
     """Return the changes of an :func:`empty_figure` that make it show these curves.
 
     Parameters
@@ -201,19 +189,14 @@ def redraw(panels: Mapping[str, Panel], marker: float, shown: Mapping[int, bool]
         Panels in the order of the figure's rows.
     marker : float
         Abscissa of the vertical line.
-    shown : mapping of int to bool
-        Whether each trace is shown; traces that are not listed are.
+    hidden : collection of str
+        Curves that are not shown.
     """
     patch = Patch()
     for row, panel in enumerate(panels.values()):
-        interval = None
-        if panel.low is not None and panel.high is not None:
-            there_and_back = zip(panel.low, panel.high, strict=True)
-            interval = Line(*(np.concatenate([low, high[::-1]]) for low, high in there_and_back))
-        # In the order of the traces.
-        for kind, line in enumerate((interval, panel.given, panel.solver, panel.predicted)):
-            trace = patch["data"][len(_TRACES) * row + kind]
-            visible = line if line and shown.get(kind, True) else NO_CURVES.predicted
-            trace["x"], trace["y"] = (np.round(values, _DIGITS).tolist() for values in visible)
+        for column, kind in enumerate(_TRACES):
+            curve = _NO_LINE if kind in hidden else panel.get(kind, _NO_LINE)
+            trace = patch["data"][len(_TRACES) * row + column]
+            trace["x"], trace["y"] = (np.round(values, _DIGITS).tolist() for values in curve)
     patch["layout"]["shapes"][0]["x0"] = patch["layout"]["shapes"][0]["x1"] = marker
     return patch

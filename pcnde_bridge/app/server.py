@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import socket
 import warnings
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
+from pcnde_bridge._utils.optional import require
 from pcnde_bridge.errors import InputError, PCNDEError
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
@@ -37,22 +36,17 @@ def make_app(model: PCNDE, name: str) -> Dash:
 
     Raises
     ------
-    PCNDEError
+    MissingExtraError
         If the extra ``app`` is not installed.
     """
-    if find_spec("dash") is None:
-        raise PCNDEError(
-            'The page needs packages that are not installed: pip install "pcnde-bridge[app]".'
-        )
-    from dash import Dash
-
+    new_app = require("dash", "app").Dash
     from pcnde_bridge.app import callbacks, page
     from pcnde_bridge.app.explorer import Explorer
 
     explorer = Explorer(model)
     with contextlib.suppress(PCNDEError):  # the page shows the error
         explorer.prediction(explorer.choices.initial)  # compiles before the page is opened
-    app = Dash(
+    app: Dash = new_app(
         __name__,
         assets_folder=str(Path(__file__).with_name("assets")),
         serve_locally=True,
@@ -73,22 +67,14 @@ def _restrict_access(app: Dash) -> None:
     the Host header of such a request; and browsers send the Origin of every POST.
     """
     from flask import abort, request
+    from werkzeug.sansio.utils import host_is_trusted
 
     def check_host() -> None:
-        origin = request.headers.get("Origin")
-        if _host(f"//{request.host}") not in HOSTS or (
-            origin is not None and _host(origin) not in HOSTS
-        ):
+        origin = request.headers.get("Origin", f"http://{request.host}")
+        if not all(host_is_trusted(h, HOSTS) for h in (request.host, origin.partition("//")[2])):
             abort(403, "This page is for this machine only; open it as http://127.0.0.1.")
 
     app.server.before_request(check_host)
-
-
-def _host(url: str) -> str | None:
-    try:
-        return urlsplit(url).hostname
-    except ValueError:
-        return None
 
 
 def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
@@ -103,7 +89,7 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
 
     Raises
     ------
-    PCNDEError
+    MissingExtraError
         If the extra ``app`` is not installed.
     InputError
         If the port cannot be used.
@@ -118,11 +104,8 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
             """Log nothing, because there are many requests."""
 
     # Werkzeug would print and exit if the port is taken; a bound socket is handed to it.
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as bound:
-        try:
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            bound.bind((ADDRESS, port))
-            bound.listen()
+    try:
+        with socket.create_server((ADDRESS, port)) as bound:
             return serving.make_server(
                 ADDRESS,
                 bound.getsockname()[1],
@@ -131,10 +114,10 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
                 request_handler=Handler,
                 fd=bound.fileno(),  # the server duplicates it
             )
-        except (OSError, OverflowError) as error:
-            raise InputError(
-                f"Port {port} of this machine cannot be used: {error}. Choose another with --port."
-            ) from error
+    except (OSError, OverflowError) as error:
+        raise InputError(
+            f"Port {port} of this machine cannot be used: {error}. Choose another with --port."
+        ) from error
 
 
 def serve(model: PCNDE, name: str, port: int = 8050) -> None:
@@ -147,16 +130,11 @@ def serve(model: PCNDE, name: str, port: int = 8050) -> None:
 
     Raises
     ------
-    PCNDEError, InputError
+    MissingExtraError, InputError
         See :func:`make_server`.
     """
     server = make_server(model, name, port)
     # The page itself shows these.
     warnings.filterwarnings("ignore", category=OutsideTrainingWarning)
     print(f"Explore {name} at http://{ADDRESS}:{server.port} (Ctrl-C ends).", flush=True)
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.server_close()
+    server.serve_forever()

@@ -148,7 +148,7 @@ def bench(
             "cases": {name: len(cases) for name, cases in sets.items()},
         }
         benchmark.write_rows(json_file, rows, **facts)
-    _show_rows(rows, list(sets))
+    _show_rows(rows)
     if data == "synthetic":
         say("The 1D solver is the reference here.")
 
@@ -181,22 +181,17 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
         checkpoints.remove(state)
 
 
-def _show_rows(rows: list[benchmark.Row], sets: list[str]) -> None:
-    """Print the methods side by side, then why some were not applicable."""
-    variables = list(rows[0].errors[sets[0]])
-    table = Table(show_lines=True, padding=0)  # nine columns fit into 80 characters
-    table.add_column("relative error", min_width=13)
-    for title in ("", *(SHORT_TITLES.get(name, name) for name in variables)):
-        table.add_column(title)
-    for title in ("fit\ns", "predict\nms per case"):
-        table.add_column(title, justify="right")
+def _show_rows(rows: list[benchmark.Row]) -> None:
+    """Print a line for each method and set, then why some methods were not applicable."""
+    errors, *_ = rows[0].errors.values()
+    titles = (SHORT_TITLES.get(name, name) for name in errors)
+    # Without padding, the table fits into 80 characters.
+    table = Table("relative error", *titles, "fit, s", "predict,\nms/case", padding=0)
     for row in rows:
-        found = [name for name in sets if name in row.errors]
-        errors = ("\n".join(f"{row.errors[name][v]:.4f}" for name in found) for v in variables)
-        fit_time = "" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
-        predict_time = "" if row.reason else f"{row.predict_ms_per_case:.2f}"
-        cells = (cell or "–" for cell in (*errors, fit_time, predict_time))
-        table.add_row(row.name, "\n".join(found), *cells)
+        fit_time = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
+        for name, errors in row.errors.items():
+            cells = (f"{error:.4f}" for error in errors.values())
+            table.add_row(f"{row.name}, {name}", *cells, fit_time, f"{row.predict_ms_per_case:.2f}")
     show(table)
     for row in rows:
         if row.reason is not None:

@@ -171,7 +171,7 @@ def test_bench_of_a_saved_model(run, folder, sets, small_config, toy_engine, mon
         (("cases.npz", "--model", "m", "--config", "c.json"), "leave out --model, or --config"),
         (("cases.npz", "--model", "m", "--seed", "1"), "leave out --model, or --seed"),
         (("cases.npz", "--model", "m", "--checkpoint", "c"), "leave out --model, or --checkpoint"),
-        (("cases.npz", "--json", "absent/bench.json"), "existing folder"),
+        (("cases.npz", "--json", "absent/bench.json"), "create it first"),
     ],
 )
 def test_bench_refuses(run, folder, monkeypatch, arguments, message):

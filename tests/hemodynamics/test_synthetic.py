@@ -262,7 +262,7 @@ def test_simulate(run, solved, tmp_path, cases):
     ("arguments", "message"),
     [
         (("--out", "cases.txt"), "must end in .npz or .h5"),
-        (("--out", "absent/cases.npz"), "existing folder"),
+        (("--out", "absent/cases.npz"), "create it first"),
         (("--out", "cases.npz", "--geometries", 0), "--geometries"),
         ((), "--out"),
     ],
