@@ -245,7 +245,7 @@ def check_file(path: Path, what: str) -> None:
     """
     if path.is_dir():
         raise FileError(f"{path} is a folder, not {what}.")
-    if not path.is_file():
+    if not path.exists():  # a pipe is no regular file
         raise DataNotFoundError(f"There is no file {path}; check the path.")
 
 

@@ -8,16 +8,19 @@ interpolated unless requested.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.validation import check_finite, check_shape, check_values, naming, whole
+from pcnde_bridge._utils.files import as_paths
+from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.checks import check_arrays
 from pcnde_bridge.data.plausibility import OPTION, check_flow, check_units, sizes_of
 from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import VARIABLES
@@ -112,9 +115,10 @@ def to_cases(
     vessels = []
     for given in results:
         with naming(given.name):
-            _check_arrays(given)
+            check_arrays(given.as_case())
+            check_increasing("time", given.time)
             vessel = _flipped(_in_cgs(given, stated), flip)
-            _check_units(vessel, known | set(given.units))
+            check_units(sizes_of(**vessel.as_case()), known | {*given.units}, OPTION, unique=True)
             vessel = one_cycle(vessel, period)
             if not vessel.predicted:
                 check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
@@ -125,14 +129,36 @@ def to_cases(
         vessels = [match_length(vessel, first) for vessel in vessels]
     for vessel in vessels[1:]:
         check_same_grid(first, vessel)
+    cases = [vessel.as_case() for vessel in vessels]
     stacked = {
-        name: np.stack([getattr(vessel, name) for vessel in vessels])
+        name: np.concatenate([case[name] for case in cases])
         for name in (*VARIABLES, "area_undeformed")
     }
     table = _labels_of(vessels) if labels is None else labels
     return Cases(
         **stacked, time=first.time, z=first.z, period=first.period, labels=table, check=False
     )
+
+
+def read_vessels(
+    paths: Paths, read: Callable[[Path], Iterable[VesselResults]], **options: Unpack[CaseOptions]
+) -> Cases:
+    """Assemble a data set from the vessels of several files.
+
+    Parameters
+    ----------
+    paths : path-like or sequence of path-like
+        The files.
+    read : callable
+        Reads the vessels of one file; its input errors get the file's name.
+    **options
+        Options of :func:`to_cases`.
+    """
+    vessels: list[VesselResults] = []
+    for path in as_paths(paths):
+        with naming(path):
+            vessels += read(path)
+    return to_cases(vessels, **options)
 
 
 def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
@@ -150,25 +176,6 @@ def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
     return labels.join(keys[keys.columns.difference(labels.columns)])
 
 
-def _check_arrays(vessel: VesselResults) -> None:
-    """Raise unless shapes agree and all values are possible."""
-    n_times, n_points = grid = vessel.time.size, vessel.z.size
-    if n_times < 4 or n_points < 3:
-        raise InputError(f"it has {n_times} time points and {n_points} points, fewer than 4 and 3.")
-    shapes = {**dict.fromkeys(VARIABLES, grid), "area_undeformed": (n_points,)}
-    for name, shape in shapes.items():
-        check_shape(name, getattr(vessel, name), shape)
-    for name in (*shapes, "time", "z"):
-        check_finite(name, getattr(vessel, name))
-    for name in ("area", "area_undeformed"):
-        array = getattr(vessel, name)
-        check_values(name, array, array <= 0, "areas must be positive")
-    for name in ("time", "z"):
-        axis = getattr(vessel, name)
-        rule = f"{name} must increase; sort the results and remove duplicates"
-        check_values(name, axis[1:], np.diff(axis) <= 0, rule, offset=1)
-
-
 def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
     """Convert results to CGS from the units that the caller, or else the file, states."""
     factor = factors_to_cgs({**vessel.units, **stated})
@@ -176,14 +183,6 @@ def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
     arrays: dict[str, Any] = {name: f * getattr(vessel, name) for name, f in factor.items()}
     period = None if vessel.period is None else vessel.period * factor["time"]
     return dataclasses.replace(vessel, **arrays, period=period)
-
-
-def _check_units(vessel: VesselResults, stated: set[str]) -> None:
-    """Raise if units that are not stated are wrong or ambiguous."""
-    fields = {name: values[None] for name, values in vessel.variables().items()}
-    undeformed = vessel.area_undeformed[None]
-    sizes = sizes_of(**fields, area_undeformed=undeformed, time=vessel.time, z=vessel.z)
-    check_units(sizes, stated, OPTION, unique=True)
 
 
 def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:

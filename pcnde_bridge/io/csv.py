@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
-from pcnde_bridge._utils.files import as_paths, check_file
+from pcnde_bridge._utils.files import as_paths
 from pcnde_bridge._utils.validation import counted, listed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
@@ -56,8 +56,6 @@ def read_csv(paths: Paths, **options: Unpack[CaseOptions]) -> Cases:
         If columns or rows are missing, or units, flow or time steps are ambiguous.
     """
     chosen = as_paths(paths)
-    for path in chosen:
-        check_file(path, "a table")
     frames = read_labeled(chosen, (*COLUMNS, *_KEYS, "blockage"), usecols=_is_used)
     keyed = options.get("labels") is None
     found = [_vessels(path, frame, keyed) for path, frame in zip(chosen, frames, strict=True)]

@@ -65,11 +65,11 @@ def read_hdf5(
         If arrays are missing, or units, flow or time steps are ambiguous.
     """
     places = dict(names or {})
-    if unknown := sorted(set(places) - set(NAMES)):
-        raise InputError(f"names has {unknown}; it can name {list(NAMES)}.")
     for name, place in places.items():
-        if not isinstance(place, str):
-            raise InputError(f"names[{name!r}] must be the path of a data set, got {place!r}.")
+        if name not in NAMES or not isinstance(place, str):
+            raise InputError(
+                f"names has {name!r}: {place!r}; it can name the paths of {', '.join(NAMES)}."
+            )
     stated = set(stated_units(options.get("units")))
     chosen, vessels, ours = as_paths(paths), [], []
     for path in chosen:

@@ -157,7 +157,9 @@ def _is_closed(waveforms: Array, usual_length: bool) -> bool:
     return bool(repeats.all() and (size.any() or usual_length))
 
 
-def read_columns(path: StrPath, axis: str, expected: Array, factor: float = 1.0) -> pd.DataFrame:
+def read_columns(
+    path: StrPath, axis: str, expected: Array, factor: float = 1.0, *, interpolate: bool = False
+) -> pd.DataFrame:
     """Read one column for each case on the grid of a model.
 
     Parameters
@@ -170,6 +172,8 @@ def read_columns(path: StrPath, axis: str, expected: Array, factor: float = 1.0)
         Values that the axis must have.
     factor : float
         Unit of the file's axis, s or cm.
+    interpolate : bool
+        Bring columns that cover the same range to the grid, by monotone cubic interpolation.
 
     Returns
     -------
@@ -185,10 +189,22 @@ def read_columns(path: StrPath, axis: str, expected: Array, factor: float = 1.0)
     """
     found, columns = _read(path, axis)
     found, unit = factor * found, SYSTEMS["cgs"][axis]
+    covered = f"from {expected[0]:g} to {expected[-1]:g} {unit}"
+    if interpolate:
+        from scipy.interpolate import PchipInterpolator
+
+        check_increasing(axis, found, unit)
+        if abs(found[[0, -1]] - expected[[0, -1]]).max() > 1e-3 * np.ptp(expected):
+            raise InputError(
+                f"{path} covers {axis} from {found[0]:g} to {found[-1]:g} {unit}, but the model "
+                f"works {covered}."
+            )
+        at = np.clip(expected, found[0], found[-1])
+        return pd.DataFrame(PchipInterpolator(found, columns)(at), columns=columns.columns)
     if len(found) != len(expected):
         raise InputError(
             f"{path} has {len(found)} rows, but the model works on {len(expected)} values of "
-            f"{axis} from {expected[0]:g} to {expected[-1]:g} {unit}: interpolate to these."
+            f"{axis} {covered}: interpolate to these."
         )
     worst = int(np.abs(found - expected).argmax())
     if abs(found[worst] - expected[worst]) > _SAME * (1 + np.abs(expected).max()):
@@ -291,8 +307,7 @@ def read_inputs(
     if any_grid:
         where["z"], s_u = _read(area, "z")
     else:
-        read_areas = _on_points if interpolate else read_columns
-        s_u = read_areas(area, "z", grid.z, factor["z"])
+        s_u = read_columns(area, "z", grid.z, factor["z"], interpolate=interpolate)
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
         alone = sorted(set(by_inflow) ^ set(by_area))
@@ -306,19 +321,3 @@ def read_inputs(
             )
     names = by_inflow if len(by_inflow) >= len(by_area) else by_area
     return CaseInputs(_rows(q), _rows(s_u), names, where)
-
-
-def _on_points(path: StrPath, axis: str, points: Array, factor: float) -> pd.DataFrame:
-    """Return columns at the points of a model, by monotone cubic interpolation."""
-    from scipy.interpolate import PchipInterpolator
-
-    z, columns = _read(path, axis)
-    z = factor * z
-    check_increasing("z", z, "cm")
-    if abs(z[[0, -1]] - points[[0, -1]]).max() > 1e-3 * np.ptp(points):
-        raise InputError(
-            f"{path} covers z from {z[0]:g} to {z[-1]:g} cm, but the model works from "
-            f"{points[0]:g} to {points[-1]:g} cm."
-        )
-    at = np.clip(points, z[0], z[-1])
-    return pd.DataFrame(PchipInterpolator(z, columns)(at), columns=columns.columns)

@@ -85,10 +85,8 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
         If the format needs VTK, which is not installed (extra ``vtk``).
     """
     target = Path(path)
-    name = target.name.lower().removesuffix(".gz")
-    suffix = Path(name).suffix
-    compressed = name != target.name.lower()
-    if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES) or (compressed and suffix != ".csv"):
+    suffix = ".csv" if target.name.lower().endswith(".csv.gz") else target.suffix.lower()
+    if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES):
         raise FileError(
             f"Cannot write {target}: the name must end in .csv, .npz, .h5, .vtp or .pvd."
         )

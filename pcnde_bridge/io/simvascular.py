@@ -21,11 +21,10 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.archive import with_prefix
-from pcnde_bridge._utils.files import as_paths
-from pcnde_bridge._utils.validation import naming, positive
+from pcnde_bridge._utils.validation import positive
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
+from pcnde_bridge.io.assemble import CaseOptions, Paths, read_vessels
 from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER
 from pcnde_bridge.io.vessel_results import VesselResults
 from pcnde_bridge.io.vtp import Lines, read_lines
@@ -80,11 +79,9 @@ def read_simvascular(
     InputError
         If arrays are missing, or units, flow or time steps are ambiguous.
     """
-    vessels = []
-    for path in as_paths(paths):
-        with naming(path):
-            vessels.append(_read_vessel(path, branch, time_step, rigid))
-    return to_cases(vessels, **options)
+    return read_vessels(
+        paths, lambda path: [_read_vessel(path, branch, time_step, rigid)], **options
+    )
 
 
 def _read_vessel(

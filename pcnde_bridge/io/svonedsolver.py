@@ -17,12 +17,11 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.files import as_paths, reading
-from pcnde_bridge._utils.validation import naming
+from pcnde_bridge._utils.files import reading
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import DataNotFoundError, InputError
-from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
+from pcnde_bridge.io.assemble import CaseOptions, Paths, read_vessels
 from pcnde_bridge.io.vessel_results import VesselResults
 
 
@@ -30,10 +29,10 @@ class _Segment(NamedTuple):
     """Line SEGMENT of the input file: lengths in cm, areas in cm²."""
 
     name: str
-    length: float
-    elements: int
     inlet: str
     outlet: str
+    length: float
+    elements: int
     inlet_area: float
     outlet_area: float
 
@@ -82,11 +81,7 @@ def read_sv1d(
             "(--period), in s, and their last cycle is used."
         )
     wanted = [segments] if isinstance(segments, str) else segments
-    vessels = []
-    for path in as_paths(paths):
-        with naming(path):
-            vessels.append(_read_vessel(path, wanted))
-    return to_cases(vessels, **options)
+    return read_vessels(paths, lambda path: [_read_vessel(path, wanted)], **options)
 
 
 def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
@@ -133,36 +128,28 @@ def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float, int]:
                     model = name
                 case "SOLVEROPTIONS", [time_step, every, steps, *_]:
                     step, saves = float(time_step) * int(every), 1 + int(steps) // int(every)
-                    if not step > 0:
-                        raise ValueError(f"it has steps of {step:g} s")
-                case "SEGMENT", [name, _, *sizes] if len(sizes) >= 6 and name not in segments:
-                    segments[name] = _segment(name, *sizes[:6])
+                case "SEGMENT", [name, _, length, elements, inlet, outlet, first, last, *_]:
+                    if name in segments:
+                        raise ValueError("it is repeated")
+                    sizes = float(length), int(elements), float(first), float(last)
+                    segments[name] = _Segment(name, inlet, outlet, *sizes)
+                    if not all(size > 0 for size in sizes):
+                        raise ValueError("its length, elements and areas must be positive")
                 case (("MODEL" | "SOLVEROPTIONS" | "SEGMENT"), _):
-                    raise ValueError("it is incomplete or repeated")
+                    raise ValueError("it is incomplete")
         except (ValueError, ZeroDivisionError) as error:
             raise ValueError(f"line {number}, {line[:60]!r}: {error}") from error
-    if not (model and step and segments):
-        raise ValueError("it needs the lines MODEL, SEGMENT and SOLVEROPTIONS")
+    if not (model and segments and step > 0):
+        raise ValueError("it needs the lines MODEL, SEGMENT and SOLVEROPTIONS, with steps above 0")
     for name in (model, *segments):
         if Path(name).name != name or name.startswith("."):
             raise ValueError(f"the name {name!r} leads out of the file's folder")
     return model, segments, step, saves
 
 
-def _segment(
-    name: str, length: str, elements: str, inlet: str, outlet: str, first: str, last: str
-) -> _Segment:
-    """Return a segment from the words of its line."""
-    found = _Segment(name, float(length), int(elements), inlet, outlet, float(first), float(last))
-    if not all(size > 0 for size in (found.length, found.elements, *found[-2:])):
-        raise ValueError("its length, elements and areas must be positive")
-    return found
-
-
 def _chain(known: dict[str, _Segment], wanted: Sequence[str] | None) -> list[_Segment]:
     """Return the segments of the vessel, from the inlet on."""
-    absent = [name for name in wanted or () if name not in known]
-    if absent or (wanted is not None and not wanted):
+    if absent := [name for name in wanted or () if name not in known]:
         raise InputError(f"it has no segments {absent}; it has {list(known)}.")
     chain = [known[name] for name in wanted or known]
     for one, other in itertools.pairwise(chain):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import bz2
-import contextlib
-import csv
 import gzip
 import itertools
 import lzma
 import re
-import zlib
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -26,7 +23,7 @@ from pcnde_bridge.errors import FileError, InputError
 _OLD_PANDAS = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _OLD_PANDAS else {}
 _COMPRESSED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
-_UNREADABLE = (OSError, ValueError, EOFError, zlib.error, csv.Error)
+_TABLE = "a table of comma-separated values in UTF-8"
 _LARGEST = np.iinfo(np.int64).max
 _TRUTH = {"True": True, "False": False}
 _DECIMAL = re.compile(r"-?(inf|(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d+)?)", re.ASCII)
@@ -50,39 +47,31 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
     FileError
         If the file cannot be read as a table.
     """
-    _check_unpacked(Path(path))
-    header = "" if "sep" in options else first_line(path)
-    for mark, name in ((";", "semicolons"), ("\t", "tabs")):
-        if mark in header and "," not in header:
-            raise FileError(
-                f"Cannot read a table from {path}. Its columns are separated by {name}: save it "
-                "with commas between the columns and points in the numbers."
-            )
-    try:
+    with reading(path, _TABLE):
+        _check_unpacked(Path(path))
+        header = "" if "sep" in options else first_line(path)
+        for mark, name in ((";", "semicolons"), ("\t", "tabs")):
+            if mark in header and "," not in header:
+                raise FileError(
+                    f"The columns of {path} are separated by {name}: save it with commas between "
+                    "the columns and points in the numbers."
+                )
         # Blanks after commas belong neither to names nor to values.
         frame: pd.DataFrame = pd.read_csv(path, skipinitialspace=True, **_EXACT, **options)
-    except UnicodeDecodeError as error:
-        advice = "it is not UTF-8 text: save it as CSV in UTF-8"
-        raise FileError(f"Cannot read a table from {path}: {advice} ({error}).") from error
-    except _UNREADABLE as error:
-        raise FileError(f"Cannot read a table from {path}: {error}.") from error
     return frame
 
 
 def _check_unpacked(path: Path) -> None:
     """Refuse a compressed table that is much larger than its file."""
-    if path.suffix not in _COMPRESSED or not path.is_file():
-        return
-    budget = Budget(path.stat().st_size)
-    with reading(path, "a compressed table"), _COMPRESSED[path.suffix](path, "rb") as content:
-        while block := content.read(1 << 20):
-            budget.claim(len(block))
+    if path.suffix in _COMPRESSED and path.is_file():
+        budget = Budget(path.stat().st_size)
+        with _COMPRESSED[path.suffix](path, "rb") as content:
+            while block := content.read(1 << 20):
+                budget.claim(len(block))
 
 
 def _opened(path: Path) -> TextIO:
-    text: TextIO = _COMPRESSED.get(path.suffix, open)(
-        path, "rt", encoding="utf-8-sig", errors="replace"
-    )
+    text: TextIO = _COMPRESSED.get(path.suffix, open)(path, "rt", encoding="utf-8-sig")
     return text
 
 
@@ -98,12 +87,18 @@ def first_line(path: StrPath) -> str:
     -------
     str
         The line; empty if there is none, or if the file is a pipe, which is read only once.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
     """
-    if Path(path).is_file():
-        with contextlib.suppress(*_UNREADABLE), _opened(Path(path)) as text:
+    with reading(path, _TABLE):
+        if not Path(path).is_file():
+            return ""
+        with _opened(Path(path)) as text:
             head = text.read(1 << 20).splitlines()  # a damaged file may be a single line
-            return next((line for line in head if line.strip() and line[0] != "#"), "")
-    return ""
+        return next((line for line in head if line.strip() and line[0] != "#"), "")
 
 
 def numbers(path: StrPath, column: pd.Series[Any]) -> Array:

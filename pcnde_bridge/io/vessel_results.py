@@ -51,6 +51,12 @@ class VesselResults:
         """Return flow, area and pressure by name."""
         return {name: getattr(self, name) for name in VARIABLES}
 
+    def as_case(self) -> dict[str, Array]:
+        """Return the arrays as those of a data set of one case, by name."""
+        fields = {**self.variables(), "area_undeformed": self.area_undeformed}
+        cases = {name: values[None] for name, values in fields.items()}
+        return {**cases, "time": self.time, "z": self.z}
+
     def change(self, function: Callable[[Array], Array], **others: Any) -> VesselResults:
         """Return a copy with one function applied to flow, area and pressure.
 

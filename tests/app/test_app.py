@@ -222,8 +222,8 @@ def test_uploads_are_read_as_on_the_command_line(model, bound):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "Cannot read a table from bad.csv"),
-        (b"\x89PNG\r\n\x1a\n\xff\xfe", "Cannot read a table from bad.csv"),
+        (b"", "bad.csv is not a table"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "bad.csv is not a table"),
         (b"x,flow\n0,1\n1,2\n", r"bad.csv must have the columns time, then one"),
         (b"time,flow\n0,1\n0.1,fast\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),
         (b"time,flow\n0,1\n0.1,\n0.2,1\n", "bad.csv, line 3, column flow: not a number"),

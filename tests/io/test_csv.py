@@ -182,13 +182,13 @@ def test_blanks_after_commas_belong_to_nothing(prediction, tmp_path):
         ({"sep": ";"}, "separated by semicolons: save it with commas"),
         ({"sep": ";", "decimal": ","}, "separated by semicolons: save it with commas"),
         ({"sep": "\t"}, "separated by tabs: save it with commas"),
-        ({"encoding": "utf-16"}, "not UTF-8 text: save it as CSV in UTF-8"),
+        ({"encoding": "utf-16"}, "comma-separated values in UTF-8, or"),
     ],
 )
 def test_other_kinds_of_tables_are_told_what_to_do(prediction, tmp_path, options, message):
     path = tmp_path / "p.csv"
     prediction.to_frame().to_csv(path, index=False, **options)
-    with pytest.raises(FileError, match=rf"Cannot read a table from .*p\.csv.*{message}"):
+    with pytest.raises(FileError, match=rf"p\.csv.*{message}"):
         read_csv(path)
 
 

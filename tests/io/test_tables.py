@@ -22,5 +22,5 @@ def test_labels_by_file(small_cases, tmp_path):
     table.write_text("name,waveform,geometry\n5.vtp,1,2\n")
     with pytest.raises(InputError, match="lacks the column 'file'"):
         read_labels(table, paths)
-    with pytest.raises(FileError, match="Cannot read a table"):
+    with pytest.raises(FileError, match="There is no file"):
         read_labels(tmp_path / "nowhere.csv", paths)
