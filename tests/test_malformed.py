@@ -454,7 +454,7 @@ TABLE = [
     ("config", "a number for a group", replaced_by('{"flow": 3}'), InputError,
      r"PCNDEConfig\.flow must be"),
     ("config", "not UTF-8", replaced_by(b"\xff\xfe\x00"), REFUSED, "settings|not JSON"),
-    ("config", "negative", replaced_by('{"flow": {"epochs": -1}}'), InputError, "not be negative"),
+    ("config", "negative", replaced_by('{"flow": {"epochs": -1}}'), InputError, "must be positive"),
     ("config", "infinite", replaced_by('{"flow": {"rtol": 1e999}}'), InputError, "be finite"),
     ("config", "a number's text", replaced_by('{"batch_size": "12"}'), InputError, "must be int"),
     ("config", "a huge number", replaced_by('{"flow": {"rtol": 1' + "0" * 400 + "}}"), InputError,

@@ -47,12 +47,10 @@ def config_from(settings: Any) -> Config:
     InputError
         If a name is unknown or a value is not usable.
     """
-    settings = current_names(settings)
-    if isinstance(settings, Mapping) and "outlet" in settings:
-        return ClosureConfig.from_dict(settings)
-    if isinstance(settings, Mapping) and settings.get("training") == "full_batch":
-        group = settings.get("full_batch")
-        if isinstance(group, Mapping):
+    match settings := current_names(settings):
+        case {"outlet": _}:
+            return ClosureConfig.from_dict(settings)
+        case {"training": "full_batch", "full_batch": {**group}}:
             # Before this setting was introduced, all cases had the same weight.
             settings = {**settings, "full_batch": {"amplitude_exponent": 0.0, **group}}
     return PCNDEConfig.from_dict(settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -41,17 +42,17 @@ def current_names(settings: Any) -> Any:
 
 def positive(default: Any) -> Any:
     """Return a dataclass field for a positive setting (None, where allowed, passes)."""
-    return dataclasses.field(default=default, metadata={"positive": True})
+    return dataclasses.field(default=default, metadata={"rule": "positive"})
 
 
 def signed(default: Any) -> Any:
     """Return a dataclass field for a setting that may be negative."""
-    return dataclasses.field(default=default, metadata={"signed": True})
+    return dataclasses.field(default=default, metadata={"rule": "any number"})
 
 
 def layer_widths(*default: int) -> Any:
     """Return a dataclass field for the widths of at least one hidden layer."""
-    return dataclasses.field(default=default, metadata={"positive": True, "nonempty": True})
+    return dataclasses.field(default=default, metadata={"rule": "positive", "nonempty": True})
 
 
 class Section:
@@ -63,10 +64,9 @@ class Section:
             where, value = f"{type(self).__name__}.{f.name}", getattr(self, f.name)
             checked = _checked(value, hints[f.name], where)
             object.__setattr__(self, f.name, checked)
-            if not f.metadata.get("signed", False) and _smallest(checked) < 0:
-                raise InputError(f"{where} must not be negative, got {value!r}.")
-            if f.metadata.get("positive", False) and _smallest(checked) <= 0:
-                raise InputError(f"{where} must be positive, got {value!r}.")
+            rule, least = f.metadata.get("rule", "at least 0"), _smallest(checked)
+            if (least < 0 and rule == "at least 0") or (least <= 0 and rule == "positive"):
+                raise InputError(f"{where} must be {rule}, got {value!r}.")
             if f.metadata.get("nonempty", False) and not checked:
                 raise InputError(f"{where} must not be empty.")
 
@@ -159,21 +159,13 @@ def _checked(value: Any, hint: Any, where: str) -> Any:
         if isinstance(value, str) or not isinstance(value, list | tuple):
             raise InputError(f"{where} must be a sequence, got {value!r}.")
         return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
-    value = _python_number(value, hint, where)
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+    accepted = {int: numbers.Integral, float: numbers.Real}.get(hint, hint)
+    if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
         raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{where} must be finite, got {value!r}.")
-    return value
-
-
-def _python_number(value: Any, hint: Any, where: str) -> Any:
-    """Convert numbers of other libraries, such as numpy's, to Python's own."""
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+    if accepted is hint:
         return value
-    if hint is float:
-        try:
-            return float(value)
-        except OverflowError:
-            raise InputError(f"{where} must be finite, got a number that is too large.") from None
-    return int(value) if hint is int and isinstance(value, numbers.Integral) else value
+    with contextlib.suppress(OverflowError):  # of an integer beyond all floats
+        value = hint(value)  # from a number of another library, such as numpy
+        if math.isfinite(value):
+            return value
+    raise InputError(f"{where} must be finite, got {value!r}.")

@@ -24,7 +24,7 @@ from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.procedure import Procedure
 from pcnde_bridge.training.trainer import staged_training
-from pcnde_bridge.uncertainty.sampling import Uncertainty, sample
+from pcnde_bridge.uncertainty.sampling import SampledModel, Uncertainty, sample
 
 AnyParameters = Parameters | ClosureParameters
 Samples = dict[str, Array]
@@ -98,12 +98,12 @@ def _predict_staged(
 def _predict_closures(
     engine: Engine, config: Any, parameters: Any, inputs: Inputs, spread: Uncertainty | None = None
 ) -> tuple[Solution, Samples | None]:
-    arrays = inputs.inflow, inputs.area_undeformed, inputs.grid, config
-    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *arrays)
+    given = inputs.inflow, inputs.area_undeformed, inputs.grid
+    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *given, config)
     if spread is None or inputs.random is None:
         return mean, None
-    model = engine.closures, parameters, spread, mean
-    return mean, sample(*model, *arrays, inputs.random)
+    model = SampledModel(engine.closures, parameters, config)
+    return mean, sample(model, spread, mean, given, inputs.random)
 
 
 _STAGED = Kind(False, Parameters, staged_training, _predict_staged)

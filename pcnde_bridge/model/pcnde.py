@@ -72,8 +72,6 @@ class PCNDE(Predictor):
 
     def __post_init__(self) -> None:
         kind_of(self.config).check(self.config, self.parameters, self.grid, self.uncertainty)
-        if self.novelty is not None:
-            self.novelty.check()
 
     @classmethod
     def fit(
@@ -260,7 +258,7 @@ class PCNDE(Predictor):
                 dict(facts["provenance"]),
                 histories.from_arrays(arrays),
                 Uncertainty(**spread) if spread else None,
-                Novelty(**known) if known else None,
+                Novelty.from_arrays(known) if known else None,
             )
 
     def __repr__(self) -> str:

@@ -20,7 +20,7 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit
 from pcnde_bridge.training.history import Recorder
 from pcnde_bridge.training.procedure import Procedure, RunState, Step
-from pcnde_bridge.uncertainty.sampling import calibrate
+from pcnde_bridge.uncertainty.sampling import SampledModel, calibrate
 
 _CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
 _RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
@@ -127,8 +127,8 @@ class ClosureTraining(Procedure[ClosureState]):
             return state
         members = [state.vectors[f"member_{k}"] for k in range(len(self._left_out))]
         rng = np.random.default_rng([state.seed, 1])
-        fitted = self.engine.closures, state.parameters, members, self._left_out
-        uncertainty = calibrate(*fitted, self.cases, self.config, rng)
+        model = SampledModel(self.engine.closures, state.parameters, self.config)
+        uncertainty = calibrate(model, members, self._left_out, self.cases, rng)
         return replace(state, uncertainty=uncertainty)
 
     def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:

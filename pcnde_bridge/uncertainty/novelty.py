@@ -9,15 +9,16 @@ largest remainder of the training cases, but at least with 2 % of their size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.errors import InputError, PCNDEWarning
+from pcnde_bridge._utils.validation import check_finite, check_shape
+from pcnde_bridge.errors import PCNDEWarning
 
 EDGE = 1 + 1e-6
 """Score beyond which an input is outside; a little above 1, as inputs may be resampled."""
@@ -77,30 +78,28 @@ class _Box(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """Box of the training cases' inflows and areas, which scores other inputs.
+    """Boxes of the training cases' inflows and areas, which score other inputs."""
 
-    Model files store the attributes under these names.
+    inflow: _Box
+    area: _Box
 
-    Attributes
-    ----------
-    inflow_center, area_center : array of shape (n,)
-        Mean of the descriptions.
-    inflow_axes, area_axes : array of shape (k, n)
-        Principal components.
-    inflow_range, area_range : array of shape (2, k)
-        Middle and half width along each component.
-    inflow_rest, area_rest : array of shape (1,)
-        Tolerated size of the remainder.
-    """
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> Novelty:
+        """Return the boxes of a model file, whose arrays have the names of ``dict(novelty)``.
 
-    inflow_center: Array
-    inflow_axes: Array
-    inflow_range: Array
-    inflow_rest: Array
-    area_center: Array
-    area_axes: Array
-    area_range: Array
-    area_rest: Array
+        Raises
+        ------
+        KeyError, InputError
+            If an array is missing, has another shape or values that are not finite.
+        """
+        boxes = []
+        for name in ("inflow", "area"):
+            boxes.append(_Box(*(arrays[f"{name}_{part}"] for part in _Box._fields)))
+            n, k = boxes[-1].center.size, len(boxes[-1].axes)
+            for array, shape in zip(boxes[-1], ((n,), (k, n), (2, k), (1,)), strict=True):
+                check_shape(f"The novelty's array of {name}", array, shape)
+                check_finite(f"The novelty's array of {name}", array)
+        return cls(*boxes)
 
     @classmethod
     def fit(cls, inflow: Array, area_undeformed: Array, z: Array) -> Novelty:
@@ -118,15 +117,11 @@ class Novelty:
         harmonics = inflow @ _harmonic_analysis(inflow.shape[1])
         interpolation, length = _interpolation(z)
         profiles = np.sqrt(area_undeformed) @ interpolation + length
-        return cls(*_Box.fit(harmonics), *_Box.fit(profiles))
+        return cls(_Box.fit(harmonics), _Box.fit(profiles))
 
     def __iter__(self) -> Iterator[tuple[str, Array]]:
-        return ((f.name, getattr(self, f.name)) for f in fields(self))
-
-    @property
-    def _boxes(self) -> dict[str, _Box]:
-        arrays = [array for _, array in self]
-        return {"inflow": _Box(*arrays[:4]), "area": _Box(*arrays[4:])}
+        for name, box in (("inflow", self.inflow), ("area", self.area)):
+            yield from ((f"{name}_{part}", array) for part, array in box._asdict().items())
 
     def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
         """Score each case's inflow and area; values beyond 1 are outside the training data.
@@ -162,7 +157,7 @@ class Novelty:
         array of shape (2, n_times)
             Q_in, mL/s, from the harmonics of the description.
         """
-        real, imaginary = np.split(self._boxes["inflow"].ends(), 2, axis=1)
+        real, imaginary = np.split(self.inflow.ends(), 2, axis=1)
         inflow: Array = np.fft.irfft((real + 1j * imaginary) * n_times, n=n_times, axis=1)
         return inflow
 
@@ -181,25 +176,8 @@ class Novelty:
         """
         relative = np.linspace(0, 1, _PLACES)
         place = (z - z[0]) / (z[-1] - z[0])
-        ends = self._boxes["area"].ends()
+        ends = self.area.ends()
         return np.array([np.interp(place, relative, end[:_PLACES]) ** 2 for end in ends])
-
-    def check(self) -> None:
-        """Check shapes and values.
-
-        Raises
-        ------
-        InputError
-            If a value is not finite, or the arrays of inflow or area do not belong together.
-        """
-        for name, array in self:
-            if not np.isfinite(array).all():
-                raise InputError(f"The novelty's {name} has values that are not finite.")
-        for name, box in self._boxes.items():
-            shapes = [array.shape for array in box]
-            n, k = box.center.size, len(box.axes)
-            if shapes != [(n,), (k, n), (2, k), (1,)]:
-                raise InputError(f"The novelty's arrays of {name} do not belong together.")
 
 
 def _harmonic_analysis(n_times: int) -> Array:
@@ -259,7 +237,7 @@ def _scale(matrix: Array, constant: Array, box: _Box) -> _Scale:
 
 @lru_cache(maxsize=8)
 def _inflow_scale(novelty: Novelty, n_times: int) -> _Scale:
-    analysis, box = _harmonic_analysis(n_times), novelty._boxes["inflow"]
+    analysis, box = _harmonic_analysis(n_times), novelty.inflow
     # Harmonics above Nyquist's frequency count as those of the mean inflow.
     unseen = np.where(analysis.any(axis=0), 0.0, box.center)
     return _scale(analysis, unseen, box)
@@ -267,4 +245,4 @@ def _inflow_scale(novelty: Novelty, n_times: int) -> _Scale:
 
 @lru_cache(maxsize=8)
 def _area_scale(novelty: Novelty, points: bytes) -> _Scale:
-    return _scale(*_interpolation(np.frombuffer(points)), novelty._boxes["area"])
+    return _scale(*_interpolation(np.frombuffer(points)), novelty.area)

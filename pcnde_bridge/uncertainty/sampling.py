@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcnde_bridge._typing import Array, IntArray
-from pcnde_bridge._utils.validation import counted
+from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
@@ -31,12 +31,15 @@ from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import Solution
-from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.errors import SolveError
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _CALIBRATION_SAMPLES = 12
 _NEGLIGIBLE = 1e-12
+
+GivenInputs = tuple[Array, Array, Grid]
+"""Q_in (case, time), mL/s, S_u (case, z), cm², and their grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +83,10 @@ class Uncertainty:
             If the shapes do not belong together, or a value is not finite.
         """
         self.calibration.check()
-        for name in ("members", "shift"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise InputError(f"The uncertainty's {name} has values that are not finite.")
-        shapes = {name: array.shape for name, array in self}
-        if shapes["members"][1:] != (width,) or shapes["shift"] != (1,):
-            raise InputError(f"The uncertainty's arrays do not belong together: {shapes}.")
+        members = len(self.members), width
+        for name, array, shape in (("members", self.members, members), ("shift", self.shift, (1,))):
+            check_shape(f"The uncertainty's {name}", array, shape)
+            check_finite(f"The uncertainty's {name}", array)
 
 
 class RandomNumbers(NamedTuple):
@@ -119,102 +120,98 @@ class RandomNumbers(NamedTuple):
         return RandomNumbers(self.member, self.shift[:, cases], self.noise[:, :, cases])
 
 
+class SampledModel(NamedTuple):
+    """Closures whose predictions are sampled.
+
+    Attributes
+    ----------
+    closures : Closures
+        Engine of the predictions.
+    parameters : ClosureParameters
+        Closures fitted to all training cases.
+    config : ClosureConfig
+        Settings of the model.
+    """
+
+    closures: Closures
+    parameters: ClosureParameters
+    config: ClosureConfig
+
+    def predict(self, correction: Array, shift: Array, inputs: GivenInputs) -> dict[str, Array]:
+        """Predict flow, area and pressure (sample, case, time, z) with shifts (sample, case)."""
+        parameters, (inflow, area, grid) = self.parameters.replace(correction=correction), inputs
+        inflow, area = (np.tile(array, (len(shift), 1)) for array in (inflow, area))
+        found = self.closures.predict(parameters, shift.ravel(), inflow, area, grid, self.config)
+        shape = *shift.shape, grid.time.size, grid.z.size
+        return {name: getattr(found, name).reshape(shape) for name in VARIABLES}
+
+
 def calibrate(
-    closures: Closures,
-    parameters: ClosureParameters,
+    model: SampledModel,
     members: Sequence[Array],
     left_out: Sequence[Positions],
     cases: Cases,
-    config: ClosureConfig,
     rng: np.random.Generator,
 ) -> Uncertainty:
     """Find profile, shift and scale on the cases that each member's fit left out.
 
     Parameters
     ----------
-    closures : Closures
-        Engine of the predictions.
-    parameters : ClosureParameters
-        Closures fitted to all cases.
+    model : SampledModel
+        Model that was fitted to all cases.
     members : sequence of arrays of shape (n,)
         Correction of each fit that left out a fold.
     left_out : sequence of arrays of int
         Positions of the cases that each of these fits left out.
-    cases, config
-        Training cases and settings.
+    cases : Cases
+        Training cases.
     rng : Generator
         Source of the random shifts.
     """
     normal = rng.standard_normal((_CALIBRATION_SAMPLES, max(len(fold) for fold in left_out)))
     errors: list[Array] = []
-    spreads: dict[float, list[Array]] = {shift: [] for shift in _SHIFTS}
+    spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
     for member, fold in zip(members, left_out, strict=True):
-        truth, fitted = cases.select(fold), parameters.replace(correction=member)
-        inputs = truth.inflow, truth.area_undeformed, truth.grid, config
-        plain = _predict(closures, fitted, np.zeros((1, len(truth))), *inputs)
+        truth = cases.select(fold)
+        inputs = truth.inflow, truth.area_undeformed, truth.grid
+        plain = model.predict(member, np.zeros((1, len(truth))), inputs)
         errors.append(np.abs([plain[name][0] - getattr(truth, name) for name in VARIABLES]))
-        spreads[0.0].append(np.zeros_like(errors[-1]))
+        spreads.append([np.zeros_like(errors[-1])])
         for shift in _SHIFTS[1:]:
-            samples = _predict(closures, fitted, shift * normal[:, : len(truth)], *inputs)
-            spreads[shift].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
+            samples = model.predict(member, shift * normal[:, : len(truth)], inputs)
+            spreads[-1].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
     error = np.concatenate(errors, axis=1)
     profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
-    found: list[tuple[float, float, Calibration]] = []
-    for shift, parts in spreads.items():
-        spread = np.concatenate(parts, axis=1)
-        calibration = Calibration.fit(profile, error, spread)
-        width = calibration.scale * np.hypot(spread, profile[:, None, None]).mean(axis=(1, 2, 3))
-        found.append((float(np.sum(width / size)), shift, calibration))
+    calibrations, widths = [], []
+    for spread in np.concatenate(spreads, axis=2):
+        calibrations.append(Calibration.fit(profile, error, spread))
+        width = np.hypot(spread, profile[:, None, None]).mean(axis=(1, 2, 3))
+        widths.append(np.sum(calibrations[-1].scale * width / size))
     # The intervals are compared by their mean widths in terms of the errors.
-    _, shift, best = min(found, key=lambda entry: entry[0])
-    return Uncertainty(np.array(members), np.array([shift]), best.profile, best.scale)
-
-
-def _predict(
-    closures: Closures,
-    parameters: ClosureParameters,
-    shift: Array,
-    inflow: Array,
-    area_undeformed: Array,
-    grid: Grid,
-    config: ClosureConfig,
-) -> dict[str, Array]:
-    """Predict flow, area and pressure (sample, case, time, z) with shifts (sample, case)."""
-    inflow, area_undeformed = (
-        np.tile(array, (len(shift), 1)) for array in (inflow, area_undeformed)
-    )
-    solution = closures.predict(parameters, shift.ravel(), inflow, area_undeformed, grid, config)
-    shape = *shift.shape, grid.time.size, grid.z.size
-    return {name: getattr(solution, name).reshape(shape) for name in VARIABLES}
+    best = int(np.argmin(widths))
+    scale = calibrations[best].scale
+    return Uncertainty(np.array(members), np.array([_SHIFTS[best]]), profile, scale)
 
 
 def sample(
-    closures: Closures,
-    parameters: ClosureParameters,
+    model: SampledModel,
     uncertainty: Uncertainty,
     mean: Solution,
-    inflow: Array,
-    area_undeformed: Array,
-    grid: Grid,
-    config: ClosureConfig,
+    inputs: GivenInputs,
     numbers: RandomNumbers,
 ) -> dict[str, Array]:
     """Compute samples of predictions.
 
     Parameters
     ----------
-    closures : Closures
-        Engine of the predictions.
-    parameters : ClosureParameters
-        Closures fitted to all training cases.
+    model : SampledModel
+        Model of the predictions.
     uncertainty : Uncertainty
         Distribution of the samples.
     mean : Solution
         Prediction without random numbers, shape (case, time, z).
-    inflow, area_undeformed : arrays of shape (case, time) and (case, z)
-        Q_in, mL/s, and S_u, cm².
-    grid, config
-        Grid of the inputs and settings of the model.
+    inputs : tuple of inflow, area_undeformed and grid
+        Q_in (case, time), mL/s, S_u (case, z), cm², and their grid.
     numbers : RandomNumbers
         Random numbers of all samples.
 
@@ -228,7 +225,6 @@ def sample(
     SolveError
         If a sample cannot be computed.
     """
-    inputs = inflow, area_undeformed, grid, config
     found = {name: np.empty((len(numbers.member), *mean.flow.shape)) for name in VARIABLES}
     largest = int(np.bincount(numbers.member).max(initial=0))
     for number, member in enumerate(uncertainty.members):
@@ -237,22 +233,20 @@ def sample(
             continue
         # Repeated up to the same number for each member, so that one shape is compiled.
         rows = np.resize(rows, largest)
-        fitted = parameters.replace(correction=member)
         try:
-            samples = _predict(closures, fitted, numbers.shift[rows], *inputs)
+            samples = model.predict(member, numbers.shift[rows], inputs)
         except SolveError as error:
             raise SolveError(
                 "The prediction has been computed, but not all of its samples. Of these, each "
-                f"with {counted(len(inflow), 'case')}, one after the other: {error}"
+                f"with {counted(len(inputs[0]), 'case')}, one after the other: {error}"
             ) from error
         for name, values in samples.items():
             found[name][rows] = values
-    calibration = uncertainty.calibration
-    for number, name in enumerate(VARIABLES):
+    calibration, z = uncertainty.calibration, inputs[2].z
+    for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=True):
         center = getattr(mean, name)
         found[name] -= center
-        noise = numbers.noise[number, :, :, None, None]
-        found[name] += noise * calibration.shared_error(name, grid.z)
-        found[name] *= calibration.scale[number]
+        found[name] += noise[:, :, None, None] * calibration.shared_error(name, z)
+        found[name] *= scale
         found[name] += center
     return found

@@ -35,7 +35,7 @@ from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
-from pcnde_bridge.uncertainty.sampling import RandomNumbers, sample
+from pcnde_bridge.uncertainty.sampling import RandomNumbers, SampledModel, sample
 
 
 @pytest.fixture(scope="module")
@@ -351,10 +351,10 @@ def test_a_failed_sample_is_distinguished_from_a_failed_prediction(model, cases)
     failing = SimpleNamespace(predict=draws_fail)
     inputs = INFLOW[:2], AREA[:2], model.grid
     mean = model.engine.closures.predict(model.parameters, np.zeros(2), *inputs, model.config)
-    arguments = failing, model.parameters, model.uncertainty, mean, *inputs, model.config
+    failing_model = SampledModel(failing, model.parameters, model.config)
     numbers = RandomNumbers.generate(model.uncertainty, 8, 2, np.random.default_rng(0))
     with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):
-        sample(*arguments, numbers)
+        sample(failing_model, model.uncertainty, mean, inputs, numbers)
 
 
 def test_model_of_the_paper_rejects_other_grids_and_samples(small_cases, toy_config, toy_engine):

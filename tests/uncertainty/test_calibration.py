@@ -17,6 +17,7 @@ from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.uncertainty.calibration import Calibration
 from pcnde_bridge.uncertainty.sampling import (
     RandomNumbers,
+    SampledModel,
     Uncertainty,
     calibrate,
     sample,
@@ -80,9 +81,8 @@ def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift,
     rng = SimpleNamespace(standard_normal=lambda shape: np.broadcast_to(draws, shape))
     members = [np.array([1.0]), np.array([-1.0])]
     left_out = [np.arange(5), np.arange(5, 10)]
-    found = calibrate(
-        ByHand(AMOUNT, 20.0 * responding), PARAMETERS, members, left_out, ten_cases, PHYSICS, rng
-    )
+    model = SampledModel(ByHand(AMOUNT, 20.0 * responding), PARAMETERS, PHYSICS)
+    found = calibrate(model, members, left_out, ten_cases, rng)
     assert np.array_equal(found.members, members)
     assert found.shift == [shift]
     # 68 % of the cases are off by one at most.
@@ -101,8 +101,9 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
     )
     mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
     numbers = RandomNumbers.generate(uncertainty, samples, len(amount), np.random.default_rng(0))
-    grid = Grid(GRID.time, z, 1.0)
-    found = sample(engine, PARAMETERS, uncertainty, mean, inflow, area, grid, PHYSICS, numbers)
+    inputs = inflow, area, Grid(GRID.time, z, 1.0)
+    model = SampledModel(engine, PARAMETERS, PHYSICS)
+    found = sample(model, uncertainty, mean, inputs, numbers)
     off = [(found[n] - getattr(mean, n)) / u for n, u in zip(VARIABLES, UNITS, strict=True)]
     return np.stack(off), np.concatenate(engine.shifts)
 
