@@ -54,17 +54,11 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     >>> with atomic_write("result.txt") as temporary:  # doctest: +SKIP
     ...     temporary.write_text("42")
     """
-    target, temporary = _target_and_temporary(path)
-    with _explaining(path, target.parent):
-        try:
-            temporary.touch(exist_ok=False)  # with the usual permissions, unlike tempfile's
-            yield temporary
-            with temporary.open("rb+") as handle:
-                os.fsync(handle.fileno())
-            temporary.replace(target)
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
+    with _temporary_beside(path) as (target, temporary):
+        yield temporary
+        with temporary.open("rb+") as handle:
+            os.fsync(handle.fileno())
+        temporary.replace(target)
 
 
 def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:
@@ -124,17 +118,13 @@ def check_writable(path: StrPath, size: int = 0) -> None:
     FileError
         If the file cannot be written, or too little space is free.
     """
-    target, temporary = _target_and_temporary(path)
-    with _explaining(path, target.parent):
-        temporary.touch(exist_ok=False)
-        temporary.unlink()
+    with _temporary_beside(path) as (target, _):
         free = shutil.disk_usage(target.parent).free
-    if free < size:
-        raise _cannot_write(
-            path,
-            f"about {size / 1e6:.1f} MB are needed, and {free / 1e6:.1f} MB are free on the disk; "
-            "free some space or choose another folder",
-        )
+        if free < size:
+            raise OSError(
+                f"about {size / 1e6:.1f} MB are needed, and {free / 1e6:.1f} MB are free on the "
+                "disk; free some space or choose another folder"
+            )
 
 
 def remove_leftovers(path: StrPath) -> None:
@@ -165,27 +155,21 @@ def make_folder(folder: Path) -> None:
         raise FileError(f"Cannot create the folder {folder}: {error}.") from error
 
 
-def _target_and_temporary(path: StrPath) -> tuple[Path, Path]:
-    """Return the file that a path leads to and a temporary file beside it, or raise."""
-    target = Path(path).resolve()
-    if not target.parent.is_dir():
-        raise _cannot_write(
-            path, f"the folder {str(target.parent)!r} does not exist; create it first"
-        )
-    if target.is_dir():
-        raise _cannot_write(path, "it is a folder; give a file name")
-    return target, target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
-
-
-def _cannot_write(path: StrPath, reason: str) -> FileError:
-    return FileError(f"cannot write {str(path)!r}: {reason}")
-
-
 @contextlib.contextmanager
-def _explaining(path: StrPath, folder: Path) -> Iterator[None]:
-    """Say in words why a file could not be written."""
+def _temporary_beside(path: StrPath) -> Iterator[tuple[Path, Path]]:
+    """Yield the file that a path leads to, and a new file beside it that is removed at the end.
+
+    An ``OSError`` inside the block becomes a ``FileError`` that explains it.
+    """
+    target = Path(path).resolve()
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
     try:
-        yield
+        if not target.parent.is_dir():
+            raise OSError(f"the folder {str(target.parent)!r} does not exist; create it first")
+        if target.is_dir():
+            raise OSError("it is a folder; give a file name")
+        temporary.touch(exist_ok=False)  # with the usual permissions, unlike tempfile's
+        yield target, temporary
     except PCNDEError:  # which can be an OSError, too
         raise
     except OSError as error:
@@ -194,8 +178,11 @@ def _explaining(path: StrPath, folder: Path) -> Iterator[None]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             reason = "the disk is full; free some space or choose another folder"
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            reason = f"no permission to write in {str(folder)!r}; choose another folder"
-        raise _cannot_write(path, reason) from error
+            reason = f"no permission to write in {str(target.parent)!r}; choose another folder"
+        raise FileError(f"cannot write {str(path)!r}: {reason}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
 
 
 @contextlib.contextmanager

@@ -166,6 +166,20 @@ def finite_array(name: str, value: npt.ArrayLike) -> Array:
     return array
 
 
+def finite_vector(name: str, values: npt.ArrayLike) -> Array:
+    """Return a float64 copy of a row of finite real numbers.
+
+    Raises
+    ------
+    InputError
+        If it has another number of axes, or :func:`finite_array` raises.
+    """
+    array = finite_array(name, values)
+    if array.ndim != 1:
+        raise InputError(f"{name} must have one axis, but its shape is {array.shape}")
+    return array
+
+
 def check_increasing(name: str, array: Array, unit: str = "") -> None:
     """Raise unless a row of numbers increases strictly; report the first that does not.
 

@@ -48,14 +48,12 @@ def check_arrays(given: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 def _check_shapes(arrays: Mapping[str, Array]) -> None:
     """Compare all shapes with the numbers of cases, time points and points."""
-    for name in ("time", "z"):
+    for name, least in (("time", 4), ("z", 3)):
         if arrays[name].ndim != 1:
             raise InputError(f"{name} must have one axis, but its shape is {arrays[name].shape}")
+        if (count := len(arrays[name])) < least:
+            raise InputError(f"{name} has {counted(count, 'value')}; at least {least} are needed")
     n_times, n_points = len(arrays["time"]), len(arrays["z"])
-    if n_times < 4:
-        raise InputError(f"time has {counted(n_times, 'time point')}; at least 4 are needed")
-    if n_points < 3:
-        raise InputError(f"z has {counted(n_points, 'point')}; at least 3 are needed")
     undeformed = arrays["area_undeformed"]
     n_cases = len(undeformed) if undeformed.ndim == 2 else 1
     check_shape("area_undeformed", undeformed, (n_cases, n_points), "case, z")
@@ -102,10 +100,8 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
         why = "the last time point of the cycle is missing"
     else:
         why = "time must cover one period, without its end point"
-    raise InputError(
-        f"period is {period:g} s, but {n_times} time points in steps of {step:g} s give "
-        f"{cycle:g} s: {why}"
-    )
+    given = f"{n_times} time points in steps of {step:g} s give {cycle:g} s"
+    raise InputError(f"period is {period:g} s, but {given}: {why}")
 
 
 def check_plausible(arrays: Mapping[str, Array], *, strict: bool) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import real_array
+from pcnde_bridge._utils.validation import check_values, real_array
 from pcnde_bridge.data.units import FACTORS
 from pcnde_bridge.errors import InputError
 
@@ -386,15 +386,10 @@ def _checked_position(name: str, given: npt.ArrayLike, count: int, z: Array) -> 
     """Return a position for each case, within the vessel."""
     position = real_array(name, given)
     if position.shape not in ((), (count,)):
-        raise InputError(
-            f"{name} must be a position in cm, or one for each of the {count} cases; it has "
-            f"shape {position.shape}."
-        )
+        wanted = f"a position in cm, or one for each of the {count} cases"
+        raise InputError(f"{name} must be {wanted}; it has shape {position.shape}.")
     tolerance = 1e-9 * (z[-1] - z[0])
     outside = ~((position >= z[0] - tolerance) & (position <= z[-1] + tolerance))
-    if outside.any():
-        raise InputError(
-            f"{name} is {position[outside].flat[0]:g} cm, but the vessel reaches from {z[0]:g} to "
-            f"{z[-1]:g} cm."
-        )
+    rule = f"positions must lie in the vessel, from {z[0]:g} to {z[-1]:g} cm"
+    check_values(name, position, outside, rule)
     return np.broadcast_to(np.clip(position, z[0], z[-1]), (count,))

@@ -46,36 +46,29 @@ def check_labels(
     )
     pairs = pd.MultiIndex.from_frame(table[["geometry", "waveform"]])
     if not pairs.is_unique:
-        again = _second(pairs)
-        raise InputError(
-            f"labels has geometry {table['geometry'][again]}, waveform "
-            f"{table['waveform'][again]} twice, in rows {pairs.tolist().index(pairs[again])} and "
-            f"{again}; give each case its own pair"
-        )
+        again = int(np.argmax(pairs.duplicated()))
+        (geometry, waveform), first = pairs[again], pairs.tolist().index(pairs[again])
+        found = f"geometry {geometry}, waveform {waveform} twice, in rows {first} and {again}"
+        raise InputError(f"labels has {found}; give each case its own pair")
     return table
 
 
 def _check_table(given: pd.DataFrame, n_cases: int) -> None:
     """Raise if columns are missing, named wrongly or repeated, or the number of rows is wrong."""
-    absent = [name for name in ("geometry", "waveform") if name not in given]
-    if absent:
-        raise InputError(f"labels lacks the column {absent[0]!r}; add it, as whole numbers")
+    for name in ("geometry", "waveform"):
+        if name not in given:
+            raise InputError(f"labels lacks the column {name!r}; add it, as whole numbers")
     for name in given.columns:
         if not (isinstance(name, str) and name.isidentifier()):
             raise InputError(f"labels has a column named {name!r}; use Python names")
         if name in _RESERVED:
             what = "which is the name of a column of predictions"
             raise InputError(f"labels has a column named {name!r}, {what}; rename it")
-    if not given.columns.is_unique:
-        raise InputError(f"labels has two columns named {given.columns[_second(given.columns)]!r}")
+    if len(again := given.columns[given.columns.duplicated()]):
+        raise InputError(f"labels has two columns named {again[0]!r}")
     if len(given) != n_cases:
         rows, cases = counted(len(given), "row"), counted(n_cases, "case")
         raise InputError(f"labels has {rows} but there are {cases}")
-
-
-def _second(index: pd.Index[Any]) -> int:
-    """Return the position of the first repeated entry."""
-    return int(np.argmax(index.duplicated()))
 
 
 def _whole_numbers(name: str, column: pd.Series[Any]) -> AnyArray:

@@ -81,21 +81,13 @@ def read_authors_folder(folder: StrPath) -> Cases:
     data = np.stack(arrays, axis=1)
     area_undeformed = data[_AREA_UNDEFORMED, :, 0]
     geometry, waveform = np.array([case[:2] for case in cases]).T
-    return Cases(
-        flow=data[_FLOW],
-        area=data[_AREA],
-        pressure=data[_FORCE] / area_undeformed[:, None, :],
-        area_undeformed=area_undeformed,
-        # Quotients of whole numbers are the decimals nearest to 0.01 k and 0.04 k.
-        time=np.arange(SHAPE[1]) / round(1 / DT),
-        z=np.arange(SHAPE[2]) / round(1 / DZ),
-        period=PERIOD,
-        labels={
-            "geometry": geometry,
-            "waveform": waveform,
-            "blockage": np.round(0.40 + 0.05 * (geometry - 1), 2),
-        },
-    )
+    blockage = np.round(0.40 + 0.05 * (geometry - 1), 2)
+    labels = {"geometry": geometry, "waveform": waveform, "blockage": blockage}
+    pressure = data[_FORCE] / area_undeformed[:, None, :]
+    # Quotients of whole numbers are the decimals nearest to 0.01 k and 0.04 k.
+    time, z = np.arange(SHAPE[1]) / round(1 / DT), np.arange(SHAPE[2]) / round(1 / DZ)
+    fields = data[_FLOW], data[_AREA], pressure, area_undeformed, time, z
+    return Cases(*fields, period=PERIOD, labels=labels)
 
 
 def _read_case(path: Path) -> Array:

@@ -15,8 +15,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import IntArray
+from pcnde_bridge._utils.files import reading
 from pcnde_bridge._utils.validation import counted, listed
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.errors import DataNotFoundError, InputError
 
 Positions = IntArray
 """Positions of cases in a data set."""
@@ -80,8 +81,7 @@ def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
     except (IndexError, TypeError, ValueError) as error:
         raise InputError(
             f"select cannot use {reprlib.repr(index)} in {counted(len(labels), 'case')}: {error}; "
-            "give an int, a slice, a list of ints, a boolean mask or a list of (geometry, "
-            "waveform) pairs"
+            "give an int, a slice, a list of ints, a mask or a list of (geometry, waveform) pairs"
         ) from error
     return _of_pairs(labels, asked.tolist(), "select")
 
@@ -130,10 +130,8 @@ def _of_pairs(labels: pd.DataFrame, pairs: Any, where: str) -> Positions:
     known = {key: i for i, key in enumerate(case_keys(labels))}
     absent = [key for key in keys if key not in known]
     if absent:
-        raise InputError(
-            f"{where} asks for cases that are not in this data set: (geometry, waveform) = "
-            f"{listed(absent)}; see cases.labels"
-        )
+        what = f"(geometry, waveform) = {listed(absent)}; see cases.labels"
+        raise InputError(f"{where} asks for cases that are not in this data set: {what}")
     return np.array([known[key] for key in keys], dtype=np.intp)
 
 
@@ -160,14 +158,12 @@ def split_positions(labels: pd.DataFrame, how: Any) -> dict[str, Positions]:
         return _named_split(labels, how, "the split")
     if not isinstance(how, str | os.PathLike):
         raise InputError(f"how must be 'paper', a mapping or the path of a JSON file, got {how!r}")
-    name = repr(str(how))
-    try:
-        mapping = json.loads(Path(how).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+    path, name = Path(how), repr(str(how))
+    if not path.exists():
         what = "'paper', a mapping or the path of a JSON file"
-        raise DataNotFoundError(f"there is no split file {name}; give {what}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileError(f"{name} is not a readable JSON file: {error}") from error
+        raise DataNotFoundError(f"there is no split file {name}; give {what}")
+    with reading(path, "a readable JSON file"):
+        mapping = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(mapping, dict):
         raise InputError(f'{name} must hold {{"train": [...], "test": [...]}}')
     return _named_split(labels, mapping, name)

@@ -46,15 +46,13 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
     """
     if units is None:
         return {}
-    if isinstance(units, str):
-        if units not in SYSTEMS:
+    if not isinstance(units, Mapping):
+        if units not in list(SYSTEMS):
             raise InputError(
                 f"Unknown units {units!r}; give one of {sorted(SYSTEMS)}, or a mapping such as "
                 "{'pressure': 'mmHg'}."
             )
         return dict(SYSTEMS[units])
-    if not isinstance(units, Mapping):
-        raise InputError(f"units must be a name or a mapping, got {units!r}.")
     for name, unit in units.items():
         if name not in FACTORS:
             raise InputError(f"units names {name!r}; it can name {sorted(FACTORS)}.")

@@ -12,7 +12,14 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import all_of, check_values, finite, finite_array
+from pcnde_bridge._utils.validation import (
+    all_of,
+    check_shape,
+    check_values,
+    finite,
+    finite_array,
+    finite_vector,
+)
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
@@ -148,14 +155,15 @@ def discretize(
     """
     points = _check_points(z)
     area = finite_array("area_undeformed", area_undeformed)
-    n_cases = len(area) if area.ndim else 0
-    if not n_cases or area.shape != (n_cases, len(points)):
-        shape = f"(n_cases, {len(points)})"
-        raise InputError(f"area_undeformed must have the shape {shape}, got {area.shape}.")
+    n_cases = max(len(area), 1) if area.ndim else 1
+    check_shape("area_undeformed", area, (n_cases, len(points)), "case, z")
     check_values("area_undeformed", area, area <= 0.0, "areas must be positive (cm²)")
     waveforms = all_of(Waveform, "waveforms", waveforms)
-    if len(waveforms) != n_cases:
-        raise InputError(f"There are {len(waveforms)} waveforms for {n_cases} cases.")
+    given = all_of(object, "stenoses", [()] * n_cases if stenoses is None else stenoses)
+    narrowings = [all_of(Stenosis, f"stenoses[{i}]", several) for i, several in enumerate(given)]
+    for name, count in (("waveforms", len(waveforms)), ("stenoses", len(narrowings))):
+        if count != n_cases:
+            raise InputError(f"{name} must have an entry for each of {n_cases} cases, got {count}.")
     for name in SOLVER_LABELS:
         if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
             what = "which is the name of a column that the solver adds"
@@ -168,17 +176,16 @@ def discretize(
             f"{ratio[i, k]:.2f}-fold between z = {points[k]:g} and {points[k + 1]:g} cm, "
             f"{_LARGEST_AREA_RATIO:g}-fold at most can be resolved; use more points."
         )
-    period = waveforms[0].period
     for i, waveform in enumerate(waveforms):
-        _check_waveform(tube, i, waveform, period)
+        _check_waveform(tube, i, waveform, waveforms[0].period)
         _check_speed(tube, points, area[i], waveform, case_name(i, table))
-    narrowings = _check_stenoses(stenoses, n_cases)
     if not isinstance(outlet, Windkessel):
         raise InputError(f"outlet must be a Windkessel, such as Windkessel(R), got {outlet!r}.")
     elements = outlet.elements(n_cases)
     pressure = _check_initial_pressure(tube, area, initial_pressure)
     vessels = 0.5 * (area[:, :-1] + area[:, 1:]), area[:, -1]
     losses = _losses(tube, points, area, narrowings, table)
+    period = waveforms[0].period
     delta = 1.0 / (1.0 + tube.profile_exponent)  # of the momentum equation
     blood = tube.density, tube.kinematic_viscosity, 1.0 + delta
     steps = float(points[-1] - points[0]) / (len(points) - 1), period / tube.steps
@@ -187,14 +194,13 @@ def discretize(
 
 
 def _check_points(z: npt.ArrayLike) -> Array:
-    points = finite_array("z", z)
-    if points.ndim != 1 or len(points) < 4:
-        raise InputError(f"The grid is too coarse: z must have 4 points, got {points.shape}.")
-    steps = np.diff(points)
-    mean = (points[-1] - points[0]) / len(steps)
-    for k in np.flatnonzero(~(np.abs(steps - mean) <= 1e-6 * abs(mean)) | (steps <= 0.0))[:1]:
-        step = f"z[{k + 1}] − z[{k}] = {steps[k]:g}"
-        raise InputError(f"z must have equal steps (cm), but {step}; their mean is {mean:g}.")
+    points = finite_vector("z", z)
+    if len(points) < 4:
+        raise InputError(f"The grid is too coarse: z must have 4 points, got {len(points)}.")
+    steps, mean = np.diff(points), (points[-1] - points[0]) / (len(points) - 1)
+    wrong = ~(np.abs(steps - mean) <= 1e-6 * abs(mean)) | (steps <= 0.0)
+    rule = f"points must have equal steps; their mean is {mean:g} cm"
+    check_values("z", points[1:], wrong, rule, offset=1)
     return points
 
 
@@ -224,22 +230,9 @@ def _check_speed(
     wave_speed = float(tube.wall.wave_speed(smallest, smallest, tube.density))
     if speed >= wave_speed:
         raise InputError(
-            f"The flow would be faster than the pulse wave: {speed:.0f} cm/s against "
-            f"{wave_speed:.0f} cm/s in {name} at z = {z[narrowest]:g} cm; lower the flow or the "
-            "blockage."
+            f"The flow would be faster than the pulse wave: {speed:.0f} against {wave_speed:.0f} "
+            f"cm/s in {name} at z = {z[narrowest]:g} cm; lower the flow or the blockage."
         )
-
-
-def _check_stenoses(
-    stenoses: Sequence[Sequence[Stenosis]] | None, n_cases: int
-) -> list[tuple[Stenosis, ...]]:
-    if stenoses is None:
-        return [()] * n_cases
-    several = all_of(object, "stenoses", stenoses)
-    found = [all_of(Stenosis, f"stenoses[{i}]", of_case) for i, of_case in enumerate(several)]
-    if len(found) != n_cases:
-        raise InputError(f"stenoses has {len(found)} entries for {n_cases} cases.")
-    return found
 
 
 def _check_initial_pressure(tube: TubeSettings, area: Array, pressure: float | None) -> float:
@@ -250,10 +243,8 @@ def _check_initial_pressure(tube: TubeSettings, area: Array, pressure: float | N
         area_at_rest = tube.wall.area(rest, area)
         slope = tube.wall.pressure_slope(np.abs(area_at_rest), area)
     if not all((np.isfinite(value) & (value > 0.0)).all() for value in (area_at_rest, slope)):
-        raise InputError(
-            f"initial_pressure = {rest:g} dyn/cm² is outside the wall law's range, or would "
-            "collapse or burst the wall."
-        )
+        reason = "is outside the wall law's range, or would collapse or burst the wall"
+        raise InputError(f"initial_pressure = {rest:g} dyn/cm² {reason}.")
     return rest
 
 
@@ -294,9 +285,8 @@ def _losses(
                 )
             if stenosis.length < 4 * dz:
                 raise InputError(
-                    f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm "
-                    f"is {stenosis.length:g} cm long, less than 4 cells of {dz:g} cm; use more "
-                    "points."
+                    f"The grid is too coarse: the stenosis of {name} is {stenosis.length:g} cm "
+                    f"long, less than 4 cells of {dz:g} cm; use more points."
                 )
         if tube.stenosis_loss == "none":
             continue

@@ -168,13 +168,8 @@ def unsteady_pressure_drop(
     array, shape (...)
         Drop, broadcast over all arguments.
     """
+    effective, blood = effective_length(length, area_throat), (density, viscosity)
     steady = pressure_drop(
-        flow,
-        area_healthy,
-        area_throat,
-        effective_length(length, area_throat),
-        density,
-        viscosity,
-        turbulent_coefficient,
+        flow, area_healthy, area_throat, effective, *blood, turbulent_coefficient
     )
     return steady + inertial_coefficient * density * length * flow_rate_of_change / area_healthy

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.files import cache_folder, make_folder
-from pcnde_bridge._utils.validation import real_array, whole
+from pcnde_bridge._utils.validation import finite_vector, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import FileError, InputError
@@ -111,14 +111,11 @@ def synthetic(
     n_geometries = whole("n_geometries", n_geometries, 1)
     n_waveforms = whole("n_waveforms", n_waveforms, 1)
     seed, n_points = whole("seed", seed), whole("n_points", n_points)
-    positions = real_array("stenosis_positions", stenosis_positions)
-    if positions.ndim != 1:
-        raise InputError(f"stenosis_positions must be a sequence (cm), got {stenosis_positions!r}.")
-    if not len(positions) and n_geometries > 1:
+    places = finite_vector("stenosis_positions", stenosis_positions).tolist()
+    if not places and n_geometries > 1:
         raise InputError("Without a stenosis all geometries are the same; use n_geometries=1.")
     solver = Tube1D() if tube is None else tube
     blockages = np.linspace(*BLOCKAGES, n_geometries).round(12).tolist()
-    places = positions.tolist()
     vessels = [Vessel(tuple(Stenosis(beta, place) for place in places)) for beta in blockages]
     factors = _factors(n_waveforms)
     waveforms = base_waveform(seed).family(factors)

@@ -102,9 +102,8 @@ def _raise_if_diverged(failed_at: Array, cycle: int, problem: Problem) -> None:
     others = f" ({len(failed)} of {len(failed_at)} cases diverged)" if len(failed) > 1 else ""
     raise SolveError(
         f"{case_name(case, problem.labels).capitalize()} diverged at t = {time:.4g} s, "
-        f"near z = {problem.z[point]:.4g} cm{others}: the wall collapsed or Newton's method found "
-        "no flow there. Check the inlet flow, wall stiffness and outlet, or use more steps per "
-        "cycle."
+        f"near z = {problem.z[point]:.4g} cm{others}: the wall collapsed or Newton's method failed "
+        "there. Check the inlet flow, wall stiffness and outlet, or use more steps per cycle."
     )
 
 

@@ -5,8 +5,7 @@ A waveform is a truncated Fourier series of period T (the paper's section 2.5),
     Q_in(t) = A₀ + Σₙ (Aₙ·cos(2πnt/T) + Bₙ·sin(2πnt/T)),   n = 1 … N.
 
 The paper scales waveforms by a factor c, printed before Aₙ alone; its published
-data scale Aₙ and Bₙ together.  :meth:`Waveform.scaled` has both forms.  Units are
-CGS: mL/s, s.
+data scale Aₙ and Bₙ together, as :meth:`Waveform.scaled` does.  Units are CGS: mL/s, s.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +22,11 @@ from pcnde_bridge._utils.validation import (
     check_fields,
     check_increasing,
     finite,
-    finite_array,
+    finite_vector,
     positive,
     whole,
 )
 from pcnde_bridge.errors import InputError
-
-Form = Literal["oscillation", "printed"]
 
 DATA_FACTORS = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.375, 1.5, 1.75)
 """Factors of the oscillation measured on the paper's data, waveforms 0 … 9."""
@@ -84,7 +80,7 @@ class Waveform:
         check_fields(self, finite, mean="mL/s")
         check_fields(self, positive, period="s")
         for name in ("cosine", "sine"):
-            values = _finite_vector(f"Waveform.{name}", getattr(self, name))
+            values = finite_vector(f"Waveform.{name}", getattr(self, name))
             object.__setattr__(self, name, tuple(values.tolist()))
         n_cosine, n_sine = len(self.cosine), len(self.sine)
         if n_cosine != n_sine:
@@ -114,35 +110,29 @@ class Waveform:
         n_times = whole("n_times", n_times, 1)
         return self.flow(np.arange(n_times) * (self.period / n_times))
 
-    def scaled(self, factor: float, form: Form = "oscillation") -> Waveform:
+    def scaled(self, factor: float) -> Waveform:
         """Scale the oscillation by the factor c; the mean stays the same.
+
+        Aₙ and Bₙ are multiplied, as in the paper's published data, so that 0 is steady flow
+        and −1 the mirror image.
 
         Parameters
         ----------
         factor : float
             c; 1 gives the waveform itself.
-        form : {'oscillation', 'printed'}
-            ``'oscillation'`` multiplies Aₙ and Bₙ, as in the paper's published
-            data, so that 0 is steady flow and −1 the mirror image.  ``'printed'``
-            multiplies Aₙ alone, as in the paper's equation.
 
         Raises
         ------
         InputError
-            If the factor is not finite or the form unknown.
+            If the factor is not finite.
         """
         factor = finite("The waveform's factor", factor)
-        if form not in ("oscillation", "printed"):
-            raise InputError(f"form must be 'oscillation' or 'printed', got {form!r}.")
-        cosine = tuple(factor * value for value in self.cosine)
-        sine = self.sine if form == "printed" else tuple(factor * value for value in self.sine)
+        cosine, sine = (tuple(factor * v for v in values) for values in (self.cosine, self.sine))
         return Waveform(self.mean, cosine, sine, self.period)
 
-    def family(
-        self, factors: Sequence[float] = DATA_FACTORS, form: Form = "oscillation"
-    ) -> tuple[Waveform, ...]:
+    def family(self, factors: Sequence[float] = DATA_FACTORS) -> tuple[Waveform, ...]:
         """Return one waveform per factor, see :meth:`scaled`; by default the paper's family."""
-        return tuple(self.scaled(factor, form) for factor in factors)
+        return tuple(self.scaled(factor) for factor in factors)
 
     @classmethod
     def from_spectrum(
@@ -185,12 +175,12 @@ class Waveform:
             If a value is not a finite number, shapes differ, or the time points do not
             increase or span more than the period.
         """
-        samples = _finite_vector("flow", flow)
+        samples = finite_vector("flow", flow)
         period = positive("period", period, "s")
         n_terms = None if n_terms is None else whole("n_terms", n_terms)
         first, steps = 0.0, None
         if time is not None:
-            samples, first, steps = _one_cycle(_finite_vector("time", time), samples, period)
+            samples, first, steps = _one_cycle(finite_vector("time", time), samples, period)
         if len(samples) < 3:
             raise InputError(f"A waveform needs at least 3 samples, got {len(samples)}.")
         if steps is None:
@@ -213,13 +203,6 @@ def coronary(period: float = 1.0) -> Waveform:
         T, s.
     """
     return Waveform.from_samples(_CORONARY, period=period, n_terms=_CORONARY_TERMS)
-
-
-def _finite_vector(name: str, values: npt.ArrayLike) -> Array:
-    array = finite_array(name, values)
-    if array.ndim != 1:
-        raise InputError(f"{name} must have one dimension, got shape {array.shape}.")
-    return array
 
 
 def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, Array | None]:

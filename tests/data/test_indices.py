@@ -115,8 +115,8 @@ def test_positions_of_the_narrowest_stenosis_within_the_vessel():
     [
         ((3.0, 1.0), r"proximal \(3 cm\) must lie upstream of distal \(1 cm\) in case 0"),
         ((1.0, 1.0), "must lie upstream"),
-        ((-0.1, 1.0), r"proximal is -0\.1 cm, but the vessel reaches from 0 to 4 cm"),
-        ((1.0, float("nan")), "distal is nan cm"),
+        ((-0.1, 1.0), r"proximal is -0\.1: positions must lie in the vessel, from 0 to 4 cm"),
+        ((1.0, float("nan")), "distal is nan"),
         (([1.0, 1.0, 1.0], 2.0), r"one for each of the 2 cases; it has shape \(3,\)"),
         (("here", 2.0), "must hold real numbers"),
     ],

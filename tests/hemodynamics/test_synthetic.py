@@ -133,7 +133,7 @@ def test_stenoses_moved_doubled_and_absent(solved):
         ({"stenosis_positions": (1.0, 1.2)}, "overlap"),
         ({"stenosis_positions": (0.1,)}, "outside the tube"),
         ({"n_points": 1}, "n_points"),
-        ({"stenosis_positions": 2.0}, "stenosis_positions must be a sequence"),
+        ({"stenosis_positions": 2.0}, "stenosis_positions must have one axis"),
         ({"stenosis_positions": ("2",)}, "stenosis_positions must hold real numbers"),
     ],
 )

@@ -48,7 +48,7 @@ def test_flow_against_z_is_refused_with_both_remedies(vessel):
     ("options", "message"),
     [
         ({"units": "cgi"}, "Unknown units 'cgi'"),
-        ({"units": 3}, "units must be a name or a mapping"),
+        ({"units": 3}, "Unknown units 3; give one of"),
         ({"units": {"pressure": "bar"}}, "Unknown unit 'bar' of pressure; known are .*mmHg"),
         ({"units": {"presure": "Pa"}}, "units names 'presure'"),
         ({"flip": "area"}, "flip must be 'flow' or 'z'"),

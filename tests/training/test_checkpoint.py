@@ -9,6 +9,7 @@ import shutil
 import subprocess
 from collections import namedtuple
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -198,10 +199,10 @@ def test_a_checkpoint_that_can_no_longer_be_written_is_found_on_resuming(
     path = tmp_path / "run"
     PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=False)
 
-    def denied(*_):
+    def denied(*_, **__):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(files, "_create", denied)
+    monkeypatch.setattr(Path, "touch", denied)
     with pytest.raises(FileError, match="no permission to write"):
         PCNDE.fit(small_cases, toy_config, toy_engine, checkpoint=path, progress=refuse)
 
