@@ -22,8 +22,7 @@ from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.checks import check_arrays
 from pcnde_bridge.data.plausibility import OPTION, check_flow, check_units, sizes_of
-from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.resampling import (
     check_same_grid,
@@ -111,14 +110,13 @@ def to_cases(
     if time_points is not None:
         time_points = whole("time_points", time_points, 4)
     stated = stated_units(units)
-    known = set(SYSTEMS["cgs"]) if isinstance(units, str) else set(stated)
     vessels = []
     for given in results:
         with naming(given.name):
             check_arrays(given.as_case())
             check_increasing("time", given.time)
             vessel = _flipped(_in_cgs(given, stated), flip)
-            check_units(sizes_of(**vessel.as_case()), known | {*given.units}, OPTION, unique=True)
+            check_units(sizes_of(**vessel.as_case()), {*stated, *given.units}, OPTION, unique=True)
             vessel = one_cycle(vessel, period)
             if not vessel.predicted:
                 check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
@@ -130,14 +128,10 @@ def to_cases(
     for vessel in vessels[1:]:
         check_same_grid(first, vessel)
     cases = [vessel.as_case() for vessel in vessels]
-    stacked = {
-        name: np.concatenate([case[name] for case in cases])
-        for name in (*VARIABLES, "area_undeformed")
-    }
+    arrays = {name: np.concatenate([case[name] for case in cases]) for name in cases[0]}
+    arrays |= {"time": first.time, "z": first.z}
     table = _labels_of(vessels) if labels is None else labels
-    return Cases(
-        **stacked, time=first.time, z=first.z, period=first.period, labels=table, check=False
-    )
+    return Cases(**arrays, period=first.period, labels=table, check=False)
 
 
 def read_vessels(
@@ -167,9 +161,8 @@ def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
     for other in vessels:
         if other.labels.keys() != first.labels.keys():
             raise InputError(
-                f"{first.name} has the labels {sorted(first.labels)}, but {other.name} "
-                f"{sorted(other.labels)}: give all files the same labels, or pass labels= "
-                "(--labels)."
+                f"{first.name} has the labels {[*first.labels]}, {other.name} {[*other.labels]}: "
+                "give all files the same labels, or pass labels= (--labels)."
             )
     keys = pd.DataFrame({"geometry": np.arange(len(vessels)), "waveform": 0})
     labels = pd.DataFrame([dict(vessel.labels) for vessel in vessels], index=keys.index)
@@ -186,14 +179,12 @@ def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
 
 
 def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
+    if flip is None:
+        return vessel
+    # The sign of the flow refers to the direction of z, which may be reversed, too.
+    vessel = dataclasses.replace(vessel, flow=-vessel.flow)
     if flip == "flow":
-        return dataclasses.replace(vessel, flow=-vessel.flow)
-    if flip == "z":
-        # The sign of the flow refers to the direction of z, which is reversed too.
-        return vessel.change(
-            lambda values: values[:, ::-1],
-            flow=-vessel.flow[:, ::-1],
-            area_undeformed=vessel.area_undeformed[::-1],
-            z=vessel.z[0] + vessel.z[-1] - vessel.z[::-1],
-        )
-    return vessel
+        return vessel
+    backwards = vessel.z[0] + vessel.z[-1] - vessel.z[::-1]
+    undeformed = vessel.area_undeformed[::-1]
+    return vessel.change(lambda field: field[:, ::-1], area_undeformed=undeformed, z=backwards)

@@ -69,10 +69,7 @@ def _is_used(name: str) -> bool:
 def _vessels(path: Path, frame: pd.DataFrame, keyed: bool) -> list[VesselResults]:
     """Return the cases of a file; ``keyed`` if geometry and waveform identify a case."""
     if absent := [name for name in COLUMNS if name not in frame]:
-        raise InputError(
-            f"{path} lacks the columns {absent}; it needs {list(COLUMNS)}, in CGS units or with "
-            f"units= (--units), and has {list(frame.columns)}."
-        )
+        raise InputError(f"{path} lacks the columns {absent}; it has {list(frame.columns)}.")
     if frame.empty:
         raise InputError(f"{path} has no rows.")
     for name in COLUMNS:
@@ -120,8 +117,8 @@ def _vessel(path: Path, rows: pd.DataFrame, labels: Mapping[str, Any]) -> Vessel
     if len(rows) != time.size * z.size or not table.index.is_unique:
         raise InputError(
             f"{where} has {len(rows)} rows, but {time.size} time points and {z.size} points make "
-            f"{time.size * z.size}: give each time point and point once. If there are several "
-            "cases, add columns that identify them, such as geometry and waveform."
+            f"{time.size * z.size}: give each time point and point once, and several cases with "
+            "columns that identify them, such as geometry and waveform."
         )
     fields: dict[str, Any] = {
         name: table[name].to_numpy().reshape(time.size, z.size) for name in COLUMNS[2:]

@@ -43,10 +43,9 @@ def find_published() -> Path | None:
     if named:
         folder = Path(named).expanduser()
         if not (folder / "data_3D").is_dir():
-            why = "does not exist" if not folder.is_dir() else "contains no folder data_3D"
+            why = "contains no folder data_3D" if folder.is_dir() else "does not exist"
             raise DataNotFoundError(
-                f"PCNDE_DATA is {named!r}, which {why}; set it to the folder that contains "
-                "data_3D, or unset it to search elsewhere"
+                f"PCNDE_DATA is {named!r}, which {why}; give the folder of data_3D, or unset it"
             )
         return folder.resolve()
     for start in (Path.cwd(), Path(__file__).resolve().parents[2]):
@@ -122,8 +121,7 @@ def download_published(
         ) from error
     except OSError as error:
         raise FileError(
-            f"cannot write to the cache {str(folder)!r}: {error}; free space there or set "
-            "PCNDE_CACHE to another folder"
+            f"cannot write to the cache: {error}; free space, or set PCNDE_CACHE to another folder"
         ) from error
     finally:
         logger.setLevel(level)
@@ -167,8 +165,7 @@ def load_cases(data: StrPath | Cases) -> Cases:
         return Cases.load(path)
     known = ", ".join(repr(name) for name in DATASETS)
     raise DataNotFoundError(
-        f"{str(data)!r} is neither a file or folder nor the name of a data set; the names are: "
-        f"{known}"
+        f"{str(data)!r} is neither a file or folder nor the name of a data set: {known}"
     )
 
 

@@ -123,8 +123,7 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
         if unit not in FACTORS[quantity]:
             raise InputError(
                 f"{name} has the unknown unit {text!r}; known are {list(FACTORS[quantity])}. State "
-                f"it, units={{'{quantity}': …}} (--units {quantity}=…), or units='cgs' (--units "
-                "cgs) if all are CGS units."
+                f"it, units= (--units {quantity}=…), or that all are CGS units (--units cgs)."
             )
         if found.setdefault(quantity, unit) != unit:
             raise InputError(f"{name} is in {unit}, but there is also {found[quantity]}.")
@@ -143,8 +142,7 @@ def _vessels(
     """Return the results of each case from the arrays of a file."""
     if absent := [name for name in NAMES if name not in arrays]:
         raise InputError(
-            f"it lacks the data sets {absent}; name them, names={{'{absent[0]}': 'path'}} (--names "
-            f"{absent[0]}=path)."
+            f"it lacks the data sets {absent}; name them, names= (--names {absent[0]}=path)."
         )
     fields: dict[str, Any] = {}
     for name, array in arrays.items():

@@ -44,13 +44,11 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     name, _, unit = str(frame.columns[0]).strip(" )]").replace("[", "(").partition("(")
     if frame.shape[1] < 2 or name.strip().lower() not in _AXES[axis]:
         raise InputError(
-            f"{path} must have the columns {axis}, then one for each case; it has "
-            f"{list(frame.columns)}."
+            f"{path} must have the columns {axis}, then one for each case, not {[*frame.columns]}."
         )
     if unit and unit.strip() != SYSTEMS["cgs"][axis]:
         raise InputError(
-            f"{path} gives {axis} in {unit}: name the column {axis!r} alone, and state the unit, "
-            f"--units {axis}={unit}."
+            f"{path} gives {axis} in {unit}: call it {axis!r}, and pass --units {axis}={unit}."
         )
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
     inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
@@ -123,8 +121,7 @@ def read_cycle(
         period = span if closed else span * time.size / (time.size - 1)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
-            f"{path} covers {span:g} s, which is not one cycle of {period:g} s: give one cycle, or "
-            "another period (--period)."
+            f"{path} covers {span:g} s, which is not one cycle of {period:g} s: correct --period."
         )
     if abs(span - period) <= 1e-3 * steps.min():
         time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
@@ -139,8 +136,7 @@ def read_cycle(
     if off.max() > _SAME * step * time.size:
         raise InputError(
             f"{path}, line {line_of(path, int(off.argmax()) + 1)}: the time points are not equally "
-            f"spaced over the period of {period:g} s. Pass --interpolate, or interpolate the cycle "
-            "to equal steps, without its end point."
+            f"spaced over the period of {period:g} s, without its end point. Pass --interpolate."
         )
     return period, columns
 
@@ -196,8 +192,7 @@ def read_columns(
         check_increasing(axis, found, unit)
         if abs(found[[0, -1]] - expected[[0, -1]]).max() > 1e-3 * np.ptp(expected):
             raise InputError(
-                f"{path} covers {axis} from {found[0]:g} to {found[-1]:g} {unit}, but the model "
-                f"works {covered}."
+                f"{path} has {axis} from {found[0]:g} to {found[-1]:g}; the model works {covered}."
             )
         at = np.clip(expected, found[0], found[-1])
         return pd.DataFrame(PchipInterpolator(found, columns)(at), columns=columns.columns)
@@ -316,8 +311,7 @@ def read_inputs(
         elif set(by_inflow) & set(by_area):
             raise InputError(
                 f"{inflow} and {area} have some names of cases in common, but {listed(alone)} only "
-                "one of them: give both files the same names, or none in common to pair their "
-                "columns by position."
+                "one of them: use the same names, or none in common to pair columns by position."
             )
     names = by_inflow if len(by_inflow) >= len(by_area) else by_area
     return CaseInputs(_rows(q), _rows(s_u), names, where)

@@ -87,15 +87,12 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
     target = Path(path)
     suffix = ".csv" if target.name.lower().endswith(".csv.gz") else target.suffix.lower()
     if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES):
-        raise FileError(
-            f"Cannot write {target}: the name must end in .csv, .npz, .h5, .vtp or .pvd."
-        )
+        raise FileError(f"Cannot write {target}: it must end in .csv, .npz, .h5, .vtp or .pvd.")
     if target.is_dir() or not target.parent.is_dir():
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")
     if suffix in _DATA_SETS and not has_pressure:
         raise InputError(
-            "The model has no pressure stages, so its predictions are not complete data sets: "
-            "write a .csv or .vtp file."
+            "The model has no pressure stages, so it cannot predict data sets: use .csv or .vtp."
         )
     if suffix in _CENTERLINES:
         require("vtkmodules.vtkIOXML", "vtk")

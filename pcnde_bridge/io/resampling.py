@@ -58,8 +58,7 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     taken = last[1:] if near else last
     if taken.size < _FEWEST:
         raise InputError(
-            f"a cycle of {cycle:g} s has {taken.size} time points only, and needs at least "
-            f"{_FEWEST}: save more often, or correct the period."
+            f"a cycle of {cycle:g} s has {taken.size} time points only: correct it, or save more."
         )
     if not _repeats(vessel, last, cycle):
         raise InputError(
@@ -188,15 +187,12 @@ def on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Vess
 
     first, last = vessel.z[0], vessel.z[-1]
     if np.ndim(points) == 0:
-        z = np.linspace(first, last, whole("points", points, 3))
-    else:
-        z = np.asarray(points, dtype=np.float64)
-        slack = _SAME_LENGTH * np.ptp(vessel.z)
-        if z.ndim != 1 or z.min() < first - slack or z.max() > last + slack:
-            raise InputError(
-                f"points must be a list of numbers from {first:g} to {last:g} cm, the ends of the "
-                "vessel."
-            )
+        points = np.linspace(first, last, whole("points", points, 3))
+    z, slack = np.asarray(points, dtype=np.float64), _SAME_LENGTH * np.ptp(vessel.z)
+    if z.ndim != 1 or z.min() < first - slack or z.max() > last + slack:
+        raise InputError(
+            f"points must be numbers from {first:g} to {last:g} cm, the ends of the vessel."
+        )
     inside = np.clip(z, first, last)
 
     def along(values: Array) -> Array:
@@ -225,7 +221,7 @@ def check_same_grid(first: VesselResults, other: VesselResults) -> None:
         if mine.shape != theirs.shape or not np.allclose(mine, theirs, 0, _SAME * np.ptp(mine)):
             raise InputError(
                 f"{first.name} has {mine.size} values of {name} from {mine[0]:g} to {mine[-1]:g}, "
-                f"{other.name} {theirs.size} from {theirs[0]:g} to {theirs[-1]:g}: a data set has "
-                f"one grid. Resample with {option}= (--{option.replace('_', '-')}) where they "
-                "differ in number; vessels of other lengths or periods need separate data sets."
+                f"{other.name} {theirs.size} from {theirs[0]:g} to {theirs[-1]:g}. Resample with "
+                f"{option}= (--{option.replace('_', '-')}) where they differ in number; vessels of "
+                "other lengths or periods need separate data sets."
             )

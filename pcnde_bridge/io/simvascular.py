@@ -93,14 +93,10 @@ def _read_vessel(
     names = _names_by_step(arrays)
     undeformed = next((name for name in _UNDEFORMED if name in arrays), None)
     if undeformed is None:
-        raise InputError(
-            "it has no undeformed area: it needs the array CenterlineSectionArea or "
-            "area_undeformed (cm²)."
-        )
+        raise InputError("it has no undeformed area: CenterlineSectionArea or area_undeformed.")
     if "area" not in names and not rigid:
         raise InputError(
-            "it has no area for each time step (area_…). If the walls were rigid, pass rigid=True "
-            f"(--rigid): then {undeformed} is used at all times."
+            f"it has no area for each time step. Pass rigid=True (--rigid) to use {undeformed}."
         )
     steps = sorted(names["pressure"], key=float)
     names.setdefault("area", dict.fromkeys(steps, undeformed))
@@ -108,10 +104,9 @@ def _read_vessel(
         variable: np.array([_scalar(arrays, named[step]) for step in steps])
         for variable, named in names.items()
     }
-    if _has_path(arrays):
-        z = arrays["Path"] - arrays["Path"][:1]
-    else:
-        z = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum())
+    z = np.append(0.0, np.linalg.norm(np.diff(points, axis=0), axis=1).cumsum())
+    if "Path" in arrays:
+        z = _scalar(arrays, "Path") - arrays["Path"][:1]
     facts = centerline.facts
     period = facts.get("period")
     return VesselResults(
@@ -138,21 +133,17 @@ def _from_inlet_on(centerline: Lines, branch: int | None) -> tuple[Array, dict[s
         lacks = f"Path, and no line that runs once through all points of branch {branch}"
     elif branch is not None:
         raise InputError("it has no array BranchId: leave branch out.")
-    if "BranchId" in arrays and _has_path(arrays):
-        order: _Positions | None = chosen[np.argsort(arrays["Path"][chosen], kind="stable")]
+    if {"BranchId", "Path"} <= arrays.keys():
+        along = _scalar(arrays, "Path")[chosen]
+        order: _Positions | None = chosen[np.argsort(along, kind="stable")]
     else:
         order = _along(centerline.lines, chosen)
     if order is None:
         raise InputError(
-            f"it has no array {lacks}: their order along the vessel is unknown. Export the "
-            "centerline of one vessel with BranchId and Path, as svSlicer writes it, or with its "
-            "lines."
+            f"it has no array {lacks}: their order along the vessel is unknown. Export one vessel "
+            "with BranchId and Path, as svSlicer does, or with its lines."
         )
     return centerline.points[order], {name: array[order] for name, array in arrays.items()}
-
-
-def _has_path(arrays: Mapping[str, Array]) -> bool:
-    return "Path" in arrays and arrays["Path"].ndim == 1
 
 
 def _names_by_step(arrays: Mapping[str, Array]) -> dict[str, dict[str, str]]:
@@ -162,20 +153,14 @@ def _names_by_step(arrays: Mapping[str, Array]) -> dict[str, dict[str, str]]:
         if match := _STEP.fullmatch(name):
             found.setdefault(match[1].lower(), {})[match[2]] = name
     found.setdefault("flow", found.pop("velocity"))
-    for name, steps in found.items():
-        if not steps:
+    steps = set[str]().union(*found.values())
+    for name, named in found.items():
+        missing = sorted(steps.difference(named)) if named else ["<time step>"]
+        if missing:
             raise InputError(
-                f"it has no arrays {name}_<time step>{' or velocity_…' * (name == 'flow')}; "
-                f"it has {sorted(arrays)[:10]}. Give averaged results on a centerline, as svSlicer "
-                "writes them."
-            )
-    every = set[str]().union(*found.values())
-    complete = every.intersection(*found.values())
-    for name, steps in found.items():
-        if missing := sorted(every.difference(steps)):
-            raise InputError(
-                f"it has no {name}_{missing[0]} ({len(missing)} time steps lack {name}, "
-                f"{len(complete)} are complete)."
+                f"it has no {name}_{missing[0]}{' or velocity_…' * (name == 'flow')} ({len(named)} "
+                f"of {len(steps)} time steps have {name}); it has {sorted(arrays)[:10]}. Give "
+                "averaged results on a centerline, as svSlicer writes them."
             )
     return found
 
@@ -198,10 +183,7 @@ def _chosen_branch(ids: Array, branch: int | None) -> int:
         return branches[0]
     if branch is None or branch not in branches:
         other = "" if branch is None else f", not {branch!r}"
-        raise InputError(
-            f"it has the branches {branches}{other}: choose one, branch= (--branch), and convert "
-            "each vessel by itself."
-        )
+        raise InputError(f"it has the branches {branches}{other}: choose one, branch= (--branch).")
     return branch
 
 

@@ -77,8 +77,7 @@ def read_sv1d(
     """
     if options.get("period") is None:
         raise InputError(
-            "svOneDSolver's solutions start from rest: pass the period of the inflow, period= "
-            "(--period), in s, and their last cycle is used."
+            "svOneDSolver's solutions start from rest: pass the period, period= (--period), in s."
         )
     wanted = [segments] if isinstance(segments, str) else segments
     return read_vessels(paths, lambda path: [_read_vessel(path, wanted)], **options)
@@ -89,8 +88,7 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
         model, known, step, saves = _read_input(path)
     if saves < 4:
         raise InputError(
-            f"it saves {saves} time points, and a cycle needs more: reduce the second number "
-            "of SOLVEROPTIONS, the number of steps between saves."
+            f"it saves {saves} time points, too few: reduce the second number of SOLVEROPTIONS."
         )
     parts: list[dict[str, Array]] = []
     start = 0.0

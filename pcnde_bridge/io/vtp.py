@@ -23,11 +23,11 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.files import Budget, reading
-from pcnde_bridge.errors import FileError
 
 _INTEGERS = (f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64))
 _TYPES = {name: np.dtype(name.lower()) for name in ("Float32", "Float64", *_INTEGERS)}
-"""Types of numbers by their names in VTK."""
+_TYPES["String"] = np.dtype("u1")
+"""Types of numbers, or of the bytes of a text, by their names in VTK."""
 
 _DECOMPRESSORS: Mapping[str | None, Callable[[], Any]] = {
     "vtkZLibDataCompressor": zlib.decompressobj,
@@ -71,19 +71,12 @@ def read_lines(path: Path) -> Lines:
     FileError
         If the file is truncated, damaged or of another kind.
     """
-    with reading(path, "a .vtp file"):
+    with reading(path, "a .vtp file with lines (VTK XML PolyData)"):
         content = path.read_bytes()
-        if b"<VTKFile" not in content[:4096] or b'type="PolyData"' not in content[:4096]:
-            raise FileError(
-                f"{path} is not a .vtp file (VTK XML PolyData). Export the centerline as .vtp."
-            )
         head, tag, appended = content.partition(b"<AppendedData")
         # In UTF-16, which has zero bytes, entities could hide.
         if any(word in head for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")):
-            raise FileError(
-                f"{path} defines XML entities, which no .vtp file needs, or is not UTF-8 text; it "
-                "is not read."
-            )
+            raise ValueError("it defines XML entities, or is not UTF-8 text")
         # Raw appended data are not XML; the part before them is, once it is closed.
         parser = ElementTree.XMLParser(encoding="utf-8")
         root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head, parser)
@@ -125,7 +118,7 @@ def _facts(root: ElementTree.Element, decode: _Decoder) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     for item in root.iterfind("PolyData/FieldData/*"):
         name, kind = item.attrib.get("Name"), item.attrib.get("type")
-        if name is None or kind not in (*_TYPES, "String"):
+        if name is None or kind not in _TYPES:
             continue
         values = decode(item)
         if kind == "String":
@@ -169,7 +162,7 @@ class _Decoder:
         return np.frombuffer(data, dtype)
 
     def _type(self, name: str) -> np.dtype[Any]:
-        return _TYPES["UInt8" if name == "String" else name].newbyteorder(self._order)
+        return _TYPES[name].newbyteorder(self._order)
 
     def _spelled(self, text: str, dtype: type) -> npt.NDArray[Any]:
         """Read numbers of a text, without a string for each of them."""

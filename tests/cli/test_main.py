@@ -405,7 +405,7 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     assert "must end in .csv" in refused(out="result.txt")
     assert "must end in .csv" in refused(out="result")
     assert "There is no file" in refused(model="nowhere")
-    assert "There is no file nowhere.csv" in refused(inflow="nowhere.csv")
+    assert "nowhere.csv; check the path" in refused(inflow="nowhere.csv")
     assert "must have the columns time" in refused(inflow="area.csv")
     assert "must have the columns z" in refused(area="inflow.csv")
     assert "Cannot write" in refused(out="nowhere/result.csv")

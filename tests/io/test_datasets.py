@@ -189,7 +189,7 @@ def test_offline(server, elsewhere, monkeypatch):
 
 def test_unusable_cache(server, tmp_path):
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(FileError, match=r"cannot write to the cache .*PCNDE_CACHE"):
+    with pytest.raises(FileError, match=r"cannot write to the cache.*PCNDE_CACHE"):
         download_published(tmp_path / "file", progress=False, base_url=server.url)
 
 
@@ -222,7 +222,7 @@ def test_finds_what_pcnde_data_names(elsewhere, monkeypatch):
     with pytest.raises(DataNotFoundError, match=r"PCNDE_DATA is '.*absent', which does not exist;"):
         find_published()
     monkeypatch.setenv("PCNDE_DATA", str(elsewhere / "mine" / "data_3D"))
-    with pytest.raises(DataNotFoundError, match=r"contains no folder data_3D; set it to"):
+    with pytest.raises(DataNotFoundError, match="contains no folder data_3D; give the folder"):
         find_published()
 
 
@@ -247,7 +247,7 @@ def test_load_cases_from_anywhere(small_cases, tmp_path, monkeypatch):
 
 
 def test_load_cases_refuses(tmp_path):
-    with pytest.raises(DataNotFoundError, match=r"'publishd' is neither .* are: 'published'"):
+    with pytest.raises(DataNotFoundError, match=r"'publishd' is neither .* data set: 'published'"):
         load_cases("publishd")
     with pytest.raises(DataNotFoundError, match="holds no folders named case_G_W"):
         load_cases(tmp_path)

@@ -72,9 +72,9 @@ def test_rigid_walls_have_to_be_said(vessel, tmp_path):
 @pytest.mark.parametrize(
     ("drop", "extra", "message"),
     [
-        (("pressure",), {}, r"no arrays pressure_<time step>; it has \['BifurcationId'"),
-        (("velocity",), {}, r"no arrays flow_<time step> or velocity_"),
-        (("velocity_0.5",), {}, r"no flow_0\.5 \(2 time steps lack flow, 18 are complete\)"),
+        (("pressure",), {}, r"no pressure_<time step> .*; it has \['BifurcationId'"),
+        (("velocity",), {}, r"no flow_<time step> or velocity_"),
+        (("velocity_0.5",), {}, r"no flow_0\.5 .*\(18 of 20 time steps have flow\)"),
         (("Centerline",), {}, "no undeformed area"),
         ((), {"velocity_0.3": np.ones((21, 3))}, "velocity_0.3 has 3 numbers at each point"),
     ],

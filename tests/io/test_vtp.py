@@ -116,5 +116,5 @@ def test_encodings_that_hide_entities_are_refused(vessel, tmp_path):
     for encoding in ("utf-8", "utf-16"):
         head = f'<?xml version="1.0" encoding="{encoding}"?>'
         path.write_bytes((head + (mark if encoding == "utf-16" else "") + hidden).encode(encoding))
-        with pytest.raises(FileError, match=r"defines XML entities, .* or is not UTF-8"):
+        with pytest.raises(FileError, match="defines XML entities, or is not UTF-8"):
             read_simvascular(path)
