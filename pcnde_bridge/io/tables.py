@@ -174,6 +174,8 @@ def read_labeled(
     frames: list[pd.DataFrame] = []
     texts: dict[str, set[str]] = {}
     for path in paths:
+        if Path(path).is_fifo():
+            raise FileError(f"{path} is a pipe, but this table is read twice: save it as a file.")
         header = [str(name) for name in read_frame(path, nrows=0, **options)]
         names = [name for name in header if name not in numeric]
         frame = read_frame(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import threading
 
 import numpy as np
 import pandas as pd
@@ -188,6 +190,19 @@ def test_another_axis(read, value):
 def test_no_table(read, content):
     with pytest.raises((FileError, InputError), match=r"table\.csv"):
         read(content)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_read_once(tmp_path):
+    path = tmp_path / "q.csv"
+    os.mkfifo(path)
+    text = "time,a\n0,1\n0.25,2\n0.5,3\n0.75,4\n"
+    writer = threading.Thread(target=path.write_text, args=(text,), daemon=True)
+    writer.start()
+    assert np.array_equal(read_columns(path, "time", TIME)["a"], [1, 2, 3, 4])
+    writer.join()
+    with pytest.raises(FileError, match="is a pipe"):
+        read_csv(path)
 
 
 def test_no_file(tmp_path):
