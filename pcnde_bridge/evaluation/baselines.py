@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
-from math import ceil, comb
+from math import ceil
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
@@ -222,24 +222,17 @@ class ResponseSurface:
             _Axis("inflow", train, self.waveform_degree, self.waveform_components),
             _Axis("area_undeformed", train, self.geometry_degree, self.geometry_components),
         )
-        n_terms = axes[0].n_terms * axes[1].n_terms
-        if n_terms > len(train):
-            raise InputError(
-                f"The response surface has {n_terms} coefficients for each value, but there are "
-                f"{len(train)} training cases; use smaller degrees or fewer components."
-            )
-        for axis, name in zip(axes, ("waveforms", "geometries"), strict=True):
-            if np.linalg.matrix_rank(axis.features(train)) < axis.n_terms:
-                count = len(np.unique(getattr(train, axis.name), axis=0))
-                raise InputError(
-                    f"The training cases have {count} different {name}, too few for "
-                    f"{axis.n_terms} terms in them; use a smaller degree or fewer components."
-                )
         features = _products(axes, train)
-        if np.linalg.matrix_rank(features) < n_terms:
+        rank, n_terms = np.linalg.matrix_rank(features), features.shape[1]
+        if rank < n_terms:
+            waveforms, geometries = (
+                len(np.unique(array, axis=0)) for array in (train.inflow, train.area_undeformed)
+            )
             raise InputError(
-                "The training cases combine too few waveforms with too few geometries for a "
-                "polynomial in both; use smaller degrees."
+                f"The response surface has {n_terms} coefficients for each value, of which "
+                f"{len(train)} training cases with {waveforms} different waveforms and "
+                f"{geometries} different geometries determine {rank}; use smaller degrees or "
+                "fewer components."
             )
         inverse = np.linalg.pinv(features)
         self._axes, self._grid = axes, train.grid
@@ -362,7 +355,7 @@ class _Axis:
     """Principal components of one input, and polynomial terms in their scores."""
 
     def __init__(self, name: str, train: Cases, degree: int, components: int | None) -> None:
-        self.name, values = name, getattr(train, name)
+        self._name, values = name, getattr(train, name)
         self._mean = values.mean(axis=0)
         _, sizes, directions = np.linalg.svd(values - self._mean, full_matrices=False)
         # Differences within round-off do not count.
@@ -375,11 +368,10 @@ class _Axis:
         # Scores of about 1 keep the least squares well conditioned.
         self._size = np.abs(scores).max(axis=0)
         self._degree = degree
-        self.n_terms = comb(len(self._directions) + degree, degree)
 
     def features(self, cases: Cases) -> Array:
-        """Return all monomials of the scores up to the total degree, (case, n_terms)."""
-        scores = (getattr(cases, self.name) - self._mean) @ self._directions.T / self._size
+        """Return all monomials of the scores up to the total degree, (case, term)."""
+        scores = (getattr(cases, self._name) - self._mean) @ self._directions.T / self._size
         columns = [
             np.prod(scores[:, list(which)], axis=1)
             for degree in range(self._degree + 1)

@@ -13,18 +13,15 @@ from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.config import PRESETS, Config, config_from
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import FileError, PCNDEError
-from pcnde_bridge.model.ensemble import ENSEMBLE_FORMAT, ENSEMBLE_VERSION, MEMBER_PREFIX
-from pcnde_bridge.model.pcnde import MODEL_FORMAT, MODEL_VERSION
+from pcnde_bridge.errors import PCNDEError
+from pcnde_bridge.model.ensemble import MEMBER_PREFIX, Ensemble
+from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.staged_training import StagedTraining
 
 _CHECKPOINTS = (StagedTraining.checkpoint_format, ClosureTraining.checkpoint_format)
-_KINDS = {
-    MODEL_FORMAT: (MODEL_VERSION, "model"),
-    ENSEMBLE_FORMAT: (ENSEMBLE_VERSION, "ensemble"),
-    **{name: (version, "checkpoint") for name, version in _CHECKPOINTS},
-}
+_FILES = (PCNDE.file_format, Ensemble.file_format, *((*f, "checkpoint") for f in _CHECKPOINTS))
+_FORMATS = {file_format[0]: file_format for file_format in _FILES}
 _FACTS = ("seed", "engine", "trained", "seconds", "platform", "command", "source")
 
 
@@ -49,15 +46,14 @@ def describe(path: StrPath) -> dict[str, Any]:
     FileError
         If the file is none of these, or damaged.
     """
-    file_format = archive_kind(path)
-    if file_format not in _KINDS:
+    found = archive_kind(path)
+    if found not in _FORMATS:
         with contextlib.suppress(PCNDEError):
             return _data_set(Cases.load(path))
-        # The reader reports whether the file is missing, damaged or something else.
-        read_archive(path, MODEL_FORMAT, MODEL_VERSION, "model")
-        raise FileError(f"{path} is not a file of pcnde_bridge.")
-    version, kind = _KINDS[file_format]
-    facts, arrays = read_archive(path, file_format, version, kind)
+    # The reader reports whether the file is missing, damaged or something else.
+    file_format = _FORMATS.get(found or "", PCNDE.file_format)
+    facts, arrays = read_archive(path, *file_format)
+    kind = file_format[2]
     with interpreting(path, kind):
         return {"kind": kind, **_trained(kind, facts, arrays)}
 

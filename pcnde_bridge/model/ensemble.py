@@ -14,35 +14,28 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import numpy as np
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.archive import (
-    archive_kind,
-    interpreting,
-    read_archive,
-    with_prefix,
-    write_archive,
-)
+from pcnde_bridge._utils.archive import archive_kind, with_prefix
 from pcnde_bridge._utils.parallel import RunOptions, run
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.engines import EngineChoice, select_engine
+from pcnde_bridge.engines import EngineChoice
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
 from pcnde_bridge.model.fit_task import FitTask, common_facts, fit_model, model_of, same_everywhere
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.model.predictor import Predictor, predict
+from pcnde_bridge.model.predictor import Arrays, Facts, Predictor, predict
 from pcnde_bridge.training.provenance import provenance as current_provenance
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
-
-ENSEMBLE_FORMAT, ENSEMBLE_VERSION = "pcnde-ensemble", 1
 
 MEMBER_PREFIX = "member_{}_"  # of the names of a member's arrays in the file
 _FITS_PER_FOLD = 2  # the fewest that have a standard deviation
@@ -64,6 +57,7 @@ class Ensemble(Predictor):
         Facts needed to reproduce the fit.
     """
 
+    file_format = "pcnde-ensemble", 1, "ensemble"
     _batch = 64
 
     members: Sequence[PCNDE]
@@ -191,43 +185,23 @@ class Ensemble(Predictor):
             means[name], samples[name] = mean, mean + away * (wanted / np.where(agree, 1.0, spread))
         return replace(first, **means, samples=samples)
 
-    def save(self, path: StrPath) -> None:
-        """Write the ensemble into one file, atomically and without pickle.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
-        """
+    def to_archive(self) -> tuple[dict[str, Any], Arrays]:
+        """Return the content of the ensemble's file: facts for JSON, and arrays."""
         arrays = {"profile": self.calibration.profile, "scale": self.calibration.scale}
         members = []
         for number, member in enumerate(self.members):
-            member_facts, member_arrays = member.to_archive()
-            members.append(member_facts)
-            arrays |= {
-                f"{MEMBER_PREFIX.format(number)}{name}": a for name, a in member_arrays.items()
-            }
-        facts = {"members": members, "provenance": self.provenance}
-        write_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, facts, arrays)
+            facts, own = member.to_archive()
+            members.append(facts)
+            arrays |= {f"{MEMBER_PREFIX.format(number)}{name}": a for name, a in own.items()}
+        return {"members": members, "provenance": self.provenance}, arrays
 
     @classmethod
-    def load(cls, path: StrPath, engine: EngineChoice = "auto") -> Ensemble:
-        """Read an ensemble that :meth:`save` has written; see :meth:`PCNDE.load`.
-
-        Raises
-        ------
-        FileError
-            If the file is missing, truncated, foreign, or of a newer version.
-        """
-        facts, arrays = read_archive(path, ENSEMBLE_FORMAT, ENSEMBLE_VERSION, "ensemble")
-        engine = select_engine(engine)
-        with interpreting(path, "ensemble"):
-            members = []
-            for number, member in enumerate(facts["members"]):
-                own = with_prefix(MEMBER_PREFIX.format(number), arrays)
-                members.append(PCNDE.from_archive(member, own, engine, f"{path}, member {number}"))
-            calibration = Calibration(arrays["profile"], arrays["scale"])
-            return cls(members, calibration, facts["provenance"])
+    def _from_parts(cls, facts: Facts, arrays: Arrays, engine: Engine) -> Self:
+        members = [
+            PCNDE._from_parts(member, with_prefix(MEMBER_PREFIX.format(number), arrays), engine)
+            for number, member in enumerate(facts["members"])
+        ]
+        return cls(members, Calibration(arrays["profile"], arrays["scale"]), facts["provenance"])
 
     def __repr__(self) -> str:
         """Return the number of members, and the first."""
@@ -242,7 +216,8 @@ def load_model(path: StrPath, engine: EngineChoice = "auto") -> PCNDE | Ensemble
     FileError
         If it holds neither.
     """
-    return (Ensemble if archive_kind(path) == ENSEMBLE_FORMAT else PCNDE).load(path, engine)
+    kind = Ensemble if archive_kind(path) == Ensemble.file_format[0] else PCNDE
+    return kind.load(path, engine)
 
 
 def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.archive import interpreting, read_archive, with_prefix, write_archive
+from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import PUBLISHED_CODE, Config, PCNDEConfig, config_from, resolve_config
 from pcnde_bridge.data.cases import Cases
@@ -22,7 +21,7 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.model.predictor import Predictor
+from pcnde_bridge.model.predictor import Arrays, Facts, Predictor
 from pcnde_bridge.model.published_weights import read_published_weights
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
@@ -30,8 +29,6 @@ from pcnde_bridge.training.provenance import provenance
 from pcnde_bridge.training.trainer import Trainer
 from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import Uncertainty
-
-MODEL_FORMAT, MODEL_VERSION = "pcnde-model", 1
 
 
 @dataclass(eq=False, repr=False)
@@ -60,6 +57,8 @@ class PCNDE(Predictor):
     novelty : Novelty or None
         Measure of the distance from the training data.
     """
+
+    file_format = "pcnde-model", 1, "model"
 
     config: Config
     parameters: AnyParameters
@@ -190,36 +189,7 @@ class PCNDE(Predictor):
         about = inputs.labels, inputs.novelty
         return Prediction(*solution, inputs.area_undeformed, *axes, *about, samples)
 
-    def save(self, path: StrPath) -> None:
-        """Write the model into one file, atomically and without pickle.
-
-        Raises
-        ------
-        FileError
-            If the file cannot be written.
-        """
-        write_archive(path, MODEL_FORMAT, MODEL_VERSION, *self.to_archive())
-
-    @classmethod
-    def load(cls, path: StrPath, engine: EngineChoice = "auto") -> PCNDE:
-        """Read a model that :meth:`save` has written.
-
-        Parameters
-        ----------
-        path : path-like
-            File of the model.
-        engine : {'auto', 'julia', 'jax'} or Engine
-            Compute engine of the predictions; may differ from the engine of the fit.
-
-        Raises
-        ------
-        FileError
-            If the file is missing, truncated, foreign, or of a newer version.
-        """
-        facts, arrays = read_archive(path, MODEL_FORMAT, MODEL_VERSION, "model")
-        return cls.from_archive(facts, arrays, engine, str(path))
-
-    def to_archive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    def to_archive(self) -> tuple[dict[str, Any], Arrays]:
         """Return the content of the model's file: facts for JSON, and arrays."""
         facts = {"config": self.config.to_dict(), "provenance": dict(self.provenance)}
         arrays = {"time": self.grid.time, "z": self.grid.z, "period": np.array(self.grid.period)}
@@ -229,37 +199,22 @@ class PCNDE(Predictor):
         return facts, arrays
 
     @classmethod
-    def from_archive(
-        cls,
-        facts: Mapping[str, Any],
-        arrays: Mapping[str, npt.NDArray[Any]],
-        engine: EngineChoice = "auto",
-        where: str = "The archive",
-    ) -> PCNDE:
-        """Create a model from the result of :meth:`to_archive`; ``where`` names the source.
-
-        Raises
-        ------
-        FileError
-            If a part is missing or does not fit.
-        """
-        engine = select_engine(engine)
-        with interpreting(where, "model"):
-            config = config_from(facts["config"])
-            kind = kind_of(config)
-            spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
-            # Older files spell "centre".
-            known = {name.replace("centre", "center"): array for name, array in known.items()}
-            return cls(
-                config,
-                kind.parameters(**{f.name: arrays[f.name] for f in fields(kind.parameters)}),
-                Grid(arrays["time"], arrays["z"], float(arrays["period"])),
-                engine,
-                dict(facts["provenance"]),
-                histories.from_arrays(arrays),
-                Uncertainty(**spread) if spread else None,
-                Novelty.from_arrays(known) if known else None,
-            )
+    def _from_parts(cls, facts: Facts, arrays: Arrays, engine: Engine) -> Self:
+        config = config_from(facts["config"])
+        kind = kind_of(config)
+        spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
+        # Older files spell "centre".
+        known = {name.replace("centre", "center"): array for name, array in known.items()}
+        return cls(
+            config,
+            kind.parameters(**{f.name: arrays[f.name] for f in fields(kind.parameters)}),
+            Grid(arrays["time"], arrays["z"], float(arrays["period"])),
+            engine,
+            dict(facts["provenance"]),
+            histories.from_arrays(arrays),
+            Uncertainty(**spread) if spread else None,
+            Novelty.from_arrays(known) if known else None,
+        )
 
     def __repr__(self) -> str:
         """Return the variables, the size of the grid and the engine."""

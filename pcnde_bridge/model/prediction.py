@@ -273,17 +273,9 @@ class Prediction(VesselQuantities):
         if "geometry" not in labels:
             # Batches number their cases throughout, so that joined files have unique labels.
             labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
-        return Cases(
-            self.flow,
-            self.area,
-            self.pressure,
-            self.area_undeformed,
-            self.time,
-            self.z,
-            period=self.period,
-            labels=labels,
-            check=False,  # a prediction is checked by its inputs
-        )
+        arrays = *self.variables().values(), self.area_undeformed, self.time, self.z
+        # A prediction is checked by its inputs.
+        return Cases(*arrays, period=self.period, labels=labels, check=False)
 
 
 def _normal_quantile(level: float) -> float:

@@ -6,18 +6,20 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import AnyArray, Array, StrPath
+from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import stated_units
+from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.inputs import (
@@ -32,6 +34,9 @@ from pcnde_bridge.model.metrics import error_table
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.uncertainty.novelty import EDGE, Novelty, OutsideTrainingWarning
 from pcnde_bridge.uncertainty.sampling import RandomNumbers, Uncertainty
+
+Facts = Mapping[str, Any]
+Arrays = dict[str, AnyArray]
 
 _PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
 
@@ -51,6 +56,8 @@ class Predictor(ABC):
         Measure of the distance from the training data.
     uncertainty : Uncertainty or None
         Source of the samples of a prediction; only a model of the preset ``physics`` has it.
+    file_format : tuple of str, int and str
+        Format and version of the file, and its name in messages.
     """
 
     config: Config
@@ -58,6 +65,7 @@ class Predictor(ABC):
     engine: Engine
     novelty: Novelty | None = None
     uncertainty: Uncertainty | None = None
+    file_format: ClassVar[tuple[str, int, str]]
     _batch: ClassVar[int] = 256
 
     @property
@@ -233,7 +241,7 @@ class Predictor(ABC):
 
     def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
         """Return the random numbers of the samples of ``count`` cases."""
-        samples, rng = whole("samples", samples), np.random.default_rng(whole("seed", seed))
+        samples, seed = whole("samples", samples), whole("seed", seed)
         if samples == 0:
             return None
         if samples == 1:
@@ -245,7 +253,7 @@ class Predictor(ABC):
                 "This model has no uncertainty to draw samples from. Fit it with the preset "
                 "'physics' (and correction.folds > 0). An ensemble's samples are its members."
             )
-        return RandomNumbers.generate(self.uncertainty, samples, count, rng)
+        return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
 
     def check_grid(self, cases: Cases) -> None:
         """Raise unless the model predicts on the grid of these cases.
@@ -309,6 +317,62 @@ class Predictor(ABC):
         """
         check_cases("The reference of an evaluation", cases)
         return error_table(predict(self, cases).variables(), cases)
+
+    def save(self, path: StrPath) -> None:
+        """Write the model or ensemble into one file, atomically and without pickle.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written.
+        """
+        write_archive(path, *self.file_format[:2], *self.to_archive())
+
+    @classmethod
+    def load(cls, path: StrPath, engine: EngineChoice = "auto") -> Self:
+        """Read a file that :meth:`save` has written.
+
+        Parameters
+        ----------
+        path : path-like
+            File of the model or ensemble.
+        engine : {'auto', 'julia', 'jax'} or Engine
+            Compute engine of the predictions; may differ from the engine of the fit.
+
+        Raises
+        ------
+        FileError
+            If the file is missing, truncated, foreign, or of a newer version.
+        EngineUnavailableError
+            If the engine cannot be used.
+        """
+        return cls.from_archive(*read_archive(path, *cls.file_format), engine, str(path))
+
+    @abstractmethod
+    def to_archive(self) -> tuple[dict[str, Any], Arrays]:
+        """Return the content of the file: facts for JSON, and arrays."""
+
+    @classmethod
+    def from_archive(
+        cls, facts: Facts, arrays: Arrays, engine: EngineChoice, where: str = "The archive"
+    ) -> Self:
+        """Create a model or ensemble from the result of :meth:`to_archive`.
+
+        ``where`` names the source in messages.
+
+        Raises
+        ------
+        FileError
+            If a part is missing or does not fit.
+        """
+        selected = select_engine(engine)
+        with interpreting(where, cls.file_format[2]):
+            return cls._from_parts(facts, arrays, selected)
+
+    @classmethod
+    @abstractmethod
+    def _from_parts(cls, facts: Facts, arrays: Arrays, engine: Engine) -> Self:
+        """Create a model or ensemble; raise any error if a part is missing or does not fit."""
 
 
 def predict(model: Predictor, cases: Cases) -> Prediction:

@@ -12,7 +12,7 @@ from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge.config import PUBLISHED_CODE
 from pcnde_bridge.data.published import SHAPE
 from pcnde_bridge.engines.parameters import Parameters, sizes
-from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.errors import FileError
 
 FILES = {
     "flow": "ptrained_BFGS_Q.jld2",
@@ -41,24 +41,17 @@ def read_published_weights(folder: StrPath) -> Parameters:
     FileError
         If a file cannot be read, or has another length than expected.
     """
-    folder = Path(folder)
-    inner = folder / "trained_weights"
-    folder = inner if inner.is_dir() else folder
+    inner = Path(folder) / "trained_weights"
+    folder = inner if inner.is_dir() else Path(folder)
     needed = sizes(PUBLISHED_CODE, *SHAPE[1:])
     vectors = {stage: _read(folder / name, needed[stage]) for stage, name in FILES.items()}
-    empty = np.empty(0)
-    return Parameters(**vectors, temporal_pressure=empty, spatial_pressure=empty)
+    return Parameters(**vectors, temporal_pressure=np.empty(0), spatial_pressure=np.empty(0))
 
 
 def _read(path: Path, size: int) -> Array:
     import h5py
 
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"There is no {path.name} in {path.parent}. Give the folder of the authors' "
-            "published weights (trained_weights)."
-        )
-    with reading(path, "a file of published weights"), h5py.File(path, "r") as file:
+    with reading(path, "a file of the authors' published weights"), h5py.File(path, "r") as file:
         vector = np.asarray(read_dataset(file, "p"), dtype=np.float64)
     if vector.shape != (size,) or not np.isfinite(vector).all():
         raise FileError(

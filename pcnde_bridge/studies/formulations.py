@@ -181,11 +181,11 @@ def compare_formulations(
     starts = {name: procedure.start(seed) for name, procedure in procedures.items()}
     total = sum(p.count_iterations(starts[name]) for name, p in procedures.items())
 
-    evaluate = partial(_evaluate, subsets=subsets, engine=chosen, config=config)
     outcomes: dict[str, str] = {}
     frames = []
     # The true flow shows the errors of the equations alone.
-    results = evaluate("truth", {subset: cases.flow for subset, cases in subsets.items()})
+    true_flows = {subset: cases.flow for subset, cases in subsets.items()}
+    results = next(iter(procedures.values())).evaluate("truth", true_flows, subsets)
     with training_session(progress, total) as session:
         for name, procedure in procedures.items():
             steps = len(procedure.steps(starts[name]))
@@ -197,7 +197,7 @@ def compare_formulations(
             except SolveError as error:
                 outcomes[name] = f"diverged: {error}"
                 flows = {k: np.full_like(cases.flow, np.nan) for k, cases in subsets.items()}
-            results |= evaluate(name, flows)
+            results |= procedure.evaluate(name, flows, subsets)
     history = pd.concat(frames, ignore_index=True)
     return FormulationStudy(subsets, results, outcomes, history)
 
@@ -258,32 +258,26 @@ class _FormulationTraining(Procedure[_FormulationState]):
             return FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
         return TemporalFlowInputs(cases.inflow, cases.flow[:, 0])
 
+    def evaluate(
+        self, name: str, flows: Mapping[str, Array], subsets: Mapping[str, Cases]
+    ) -> dict[tuple[str, str], FormulationResult]:
+        """Return slopes and areas for the flow of each subset, by formulation and subset."""
+        train, grid, config, engine = self.cases, self.cases.grid, self.config, self.engine
 
-def _evaluate(
-    name: str,
-    flows: Mapping[str, Array],
-    subsets: Mapping[str, Cases],
-    engine: Engine,
-    config: PCNDEConfig,
-) -> dict[tuple[str, str], FormulationResult]:
-    """Return slopes and areas for the flow of each subset, by formulation and subset."""
-    train = subsets["train"]
+        def fit(stage: str, inputs: Any, target: Array) -> Array:
+            return fit_area_stage(getattr(engine, stage), inputs, target, grid, config).parameters
 
-    def fit(stage: str, inputs: Any, target: Array) -> Array:
-        data = inputs, target, train.grid, config
-        return fit_area_stage(getattr(engine, stage), *data).parameters
-
-    uncorrected = np.repeat([1.0, 0.0], train.n_points)
-    parameters = initial_parameters(config, train.n_times, train.n_points, 0)
-    if np.isfinite(flows["train"]).all():
-        fitted = fit_area(flows["train"], train, engine, config, fit)
-        parameters = parameters.replace(**fitted)
-    results = {}
-    for subset, cases in subsets.items():
-        flow, start = flows[subset], cases.area_undeformed
-        inputs = IntermediateAreaInputs(flow, start)
-        by_continuity = engine.intermediate_area.solve(uncorrected, inputs, train.grid, config)
-        area = solve_area(engine, parameters, flow, start, train.grid, config)
-        slope, last = flow_slope(flow, cases.z), by_continuity[:, -cases.n_times :]
-        results[name, subset] = FormulationResult(flow, slope, last, area)
-    return results
+        uncorrected = np.repeat([1.0, 0.0], train.n_points)
+        parameters = initial_parameters(config, train.n_times, train.n_points, 0)
+        if np.isfinite(flows["train"]).all():
+            fitted = fit_area(flows["train"], train, engine, config, fit)
+            parameters = parameters.replace(**fitted)
+        results = {}
+        for subset, cases in subsets.items():
+            flow, start = flows[subset], cases.area_undeformed
+            inputs = IntermediateAreaInputs(flow, start)
+            by_continuity = engine.intermediate_area.solve(uncorrected, inputs, grid, config)
+            area = solve_area(engine, parameters, flow, start, grid, config)
+            slope, last = flow_slope(flow, cases.z), by_continuity[:, -cases.n_times :]
+            results[name, subset] = FormulationResult(flow, slope, last, area)
+        return results

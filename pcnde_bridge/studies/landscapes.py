@@ -85,9 +85,8 @@ class Landscape:
     @property
     def minima(self) -> int:
         """Number of inner grid points with a lower loss than all eight neighbors."""
-        losses = np.where(self.diverged, np.inf, self.losses)
         neighbors = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
-        lower = losses < minimum_filter(losses, footprint=neighbors)
+        lower = self.losses < minimum_filter(self.losses, footprint=neighbors)
         return int(lower[1:-1, 1:-1].sum())
 
     @property
@@ -112,16 +111,12 @@ class Landscape:
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each point: equation, moment, amplitudes, loss and divergence."""
         first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
-        return pd.DataFrame(
-            {
-                "right_hand_side": self.right_hand_side,
-                "moment": self.moment,
-                "amplitude_1": first.ravel(),
-                "amplitude_2": second.ravel(),
-                "loss": self.losses.ravel(),
-                "diverged": self.diverged.ravel(),
-            }
-        )
+        named = {"amplitude_1": first, "amplitude_2": second, "loss": self.losses}
+        columns = {name: values.ravel() for name, values in named.items()}
+        frame = pd.DataFrame({**columns, "diverged": self.diverged.ravel()})
+        frame.insert(0, "moment", self.moment)
+        frame.insert(0, "right_hand_side", self.right_hand_side)
+        return frame
 
 
 @dataclass(frozen=True, eq=False)

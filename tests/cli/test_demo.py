@@ -87,7 +87,9 @@ def test_everything_is_there(demo, tmp_path, small_cases):
 def test_its_files_go_into_the_other_commands(demo, tmp_path, small_cases, toy_engine, monkeypatch):
     result = demo()
     folder = tmp_path / "demo"
-    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
+    for part in ("pcnde", "predictor"):
+        name = f"pcnde_bridge.model.{part}.select_engine"
+        monkeypatch.setattr(name, lambda name, **_: toy_engine)
     arguments = ["--inflow", folder / "inflow.csv", "--area", folder / "area.csv"]
     out = tmp_path / "mine.npz"
     argv = ["pcnde", "predict", folder / "model.npz", *arguments, "--out", out]

@@ -551,7 +551,9 @@ def test_text_is_printed_unchanged(capsys, monkeypatch, text):
 @pytest.mark.parametrize("name", ["model[fast]", "a[/x]"])
 def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine, monkeypatch, name):
     """Names that look like markup of rich: ``[fast]`` vanished, and ``[/x]`` was an error."""
-    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda *_, **__: toy_engine)
+    for part in ("pcnde", "predictor"):
+        name = f"pcnde_bridge.model.{part}.select_engine"
+        monkeypatch.setattr(name, lambda *_, **__: toy_engine)
     (tmp_path / name).parent.mkdir(exist_ok=True)
     model, table, cases = (tmp_path / f"{name}{end}" for end in (".npz", ".csv", ".h5"))
     config = ("--config", folder / "config.json", "--split", "none")

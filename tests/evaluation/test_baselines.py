@@ -111,9 +111,17 @@ def test_polynomial_components():
 @pytest.mark.parametrize(
     ("select", "degrees", "message"),
     [
-        ({"waveform": [0, 1, 2]}, (3, 3), "16 coefficients for each value, but there are 12"),
-        ({"waveform": [0, 1, 2]}, (3, 1), "3 different waveforms, too few for 4 terms"),
-        ({"geometry": [0, 1]}, (1, 2), "2 different geometries, too few for 3 terms"),
+        (
+            {"waveform": [0, 1, 2]},
+            (3, 3),
+            "16 coefficients for each value, of which 12 training cases",
+        ),
+        (
+            {"waveform": [0, 1, 2]},
+            (3, 1),
+            "8 coefficients .* 3 different waveforms and 4 different geometries determine 6",
+        ),
+        ({"geometry": [0, 1]}, (1, 2), "6 coefficients .* 2 different geometries determine 4"),
     ],
 )
 def test_polynomial_needs_enough_cases(select, degrees, message):
@@ -123,7 +131,7 @@ def test_polynomial_needs_enough_cases(select, degrees, message):
 
 def test_polynomial_needs_combinations():
     cases = polynomial_cases().select([(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (0, 3)])
-    with pytest.raises(InputError, match="combine too few"):
+    with pytest.raises(InputError, match="6 training cases with 4 different waveforms and 3"):
         ResponseSurface(1, 2).fit(cases)
 
 

@@ -111,7 +111,9 @@ def test_rows_as_json(tmp_path):
 @pytest.fixture
 def run(monkeypatch, toy_engine, run_pcnde):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
+    for part in ("pcnde", "predictor"):
+        name = f"pcnde_bridge.model.{part}.select_engine"
+        monkeypatch.setattr(name, lambda name, **_: toy_engine)
 
     return run_pcnde
 

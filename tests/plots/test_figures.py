@@ -239,7 +239,9 @@ def files(tmp_path, toy_model, small_cases, toy_engine, monkeypatch):
     small_cases.save(tmp_path / "cases.npz")
     split = {"train": [[1, 0], [1, 1], [2, 0]], "test": [[3, 3], [3, 2]]}
     (tmp_path / "split.json").write_text(json.dumps(split))
-    monkeypatch.setattr("pcnde_bridge.model.pcnde.select_engine", lambda name, **_: toy_engine)
+    for part in ("pcnde", "predictor"):
+        name = f"pcnde_bridge.model.{part}.select_engine"
+        monkeypatch.setattr(name, lambda name, **_: toy_engine)
     monkeypatch.setenv("COLUMNS", "200")
     return tmp_path
 
