@@ -104,34 +104,11 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     return PointwiseErrors(case, {name: v[0] for name, v in predicted.items()}, distance)
 
 
-def relative_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, Array]:
-    """Return |Y − Y_GT|/|Y_GT| of every value, as one row for each variable.
-
-    The area is compared without the first and last five points.
-
-    Parameters
-    ----------
-    predicted : mapping of str to array of shape (case, time, z)
-        Any of flow, area and pressure.
-    cases : Cases
-        The truth.
-
-    Raises
-    ------
-    InputError
-        If a true value is zero, or a shape differs from that of the truth.
-    """
-    errors = {}
-    for name, values in predicted.items():
-        truth = compared(name, check_shape(name, values, cases))
-        if not truth.all():
-            raise InputError(f"The true {name} is 0 somewhere: its relative error is undefined.")
-        errors[name] = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
-    return errors
-
-
 def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -> pd.DataFrame:
     """Return quartiles and outliers of the pointwise relative errors of several methods.
+
+    The errors are |Y − Y_GT|/|Y_GT| of every value, for the area without the first and last
+    five points.
 
     Parameters
     ----------
@@ -156,7 +133,13 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     """
     rows = {}
     for method, arrays in predicted.items():
-        for name, errors in relative_errors(arrays, cases).items():
+        for name, values in arrays.items():
+            truth = compared(name, check_shape(name, values, cases))
+            if not truth.all():
+                raise InputError(
+                    f"The true {name} is 0 somewhere: its relative error is undefined."
+                )
+            errors = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
             if np.isnan(errors).any():
                 rows[name, method] = (np.nan,) * len(_STATISTICS)
                 continue
