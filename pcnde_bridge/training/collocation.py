@@ -82,7 +82,7 @@ class Collocation(VariableProjection):
         weights = layer[:-1].T
         # The residual times the weights, without the residual at every time point.
         missed = design @ (layer @ weights) - self._target @ weights
-        return Projection(layer, loss, self._design_gradient(2 * self._scale * missed))
+        return layer, loss, self._design_gradient(2 * self._scale * missed)
 
     def _design(self, hidden: Array) -> Array:
         """Return ∫h dz' and z − z₀ by the trapezoidal rule, weighted, (case·z, hidden + 1)."""

@@ -33,7 +33,6 @@ def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]
     dict
         Facts that JSON can store.
     """
-    packages = {name: version_of(name) for name in ("numpy", "pandas", "scipy")}
     keys = cases.labels[["geometry", "waveform"]].to_numpy()
     return {
         "seed": seed,
@@ -44,7 +43,7 @@ def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]
         "versions": {
             "pcnde_bridge": __version__,
             "python": platform.python_version(),
-            **packages,
+            **{name: version_of(name) for name in ("numpy", "pandas", "scipy")},
             **({} if engine is None else engine.versions),
         },
         "platform": platform.platform(),

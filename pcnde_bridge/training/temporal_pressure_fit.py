@@ -61,4 +61,4 @@ class TemporalPressureFit(VariableProjection):
         fit = hidden @ (weights @ weights.T) + bias @ weights.T
         wanted = np.einsum("nz,kz->nk", self._scaled_target, weights)
         gradient = (2 / self._size) * (self._scale**2 * fit - wanted)
-        return Projection(layer, squares / self._size, gradient)
+        return layer, squares / self._size, gradient

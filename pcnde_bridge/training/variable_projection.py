@@ -12,7 +12,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,23 +22,8 @@ from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration
 from pcnde_bridge.training.lbfgs import minimize
 from pcnde_bridge.training.whitening import Whitening
 
-
-class Projection(NamedTuple):
-    """Solution of the least squares for given hidden layers.
-
-    Attributes
-    ----------
-    layer : array of shape (hidden + 1, out)
-        Weights and bias of the last layer.
-    loss : float
-        Smallest loss.
-    gradient : array of shape (sample, hidden)
-        Gradient with respect to the last hidden layer's output.
-    """
-
-    layer: Array
-    loss: float
-    gradient: Array
+Projection = tuple[Array, float, Array]
+"""Last layer (hidden + 1, out), its loss, and the loss's gradient (sample, hidden)."""
 
 
 class VariableProjection(ABC):
@@ -74,17 +58,17 @@ class VariableProjection(ABC):
         self._limits = settings, iterations, unit
         self._hidden_widths = self._inputs.shape[1], *widths[1:-1]
         self._last = (widths[-2] + 1) * widths[-1]  # parameters of the last layer
-        self._activation = _ACTIVATIONS[activation]
+        self._activation, self._slope = _ACTIVATIONS[activation]
 
     @abstractmethod
     def project(self, hidden: Array) -> Projection:
-        """Find the last layer for the output of the hidden layers, (sample, hidden)."""
+        """Solve the least squares for the output of the last hidden layer, (sample, hidden)."""
 
     def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration | None = None) -> Fit:
         """Fit the network from given parameters."""
         run = *self._limits, lbfgs, on_iteration
         found = minimize(self.objective, self.coordinates(start), *run)
-        layer = self.project(self._forward(found.parameters)[0]).layer
+        layer, _, _ = self.project(self._forward(found.parameters)[0])
         coordinates = np.concatenate([found.parameters, layer.ravel()])
         return replace(found, parameters=self._whitening.parameters(coordinates))
 
@@ -107,45 +91,38 @@ class VariableProjection(ABC):
         """Return the last hidden layer's output, and each layer's input, slope and weights."""
         value, layers = self._inputs, []
         for matrix, bias in unpack_network(coordinates, self._hidden_widths):
-            result, slope = self._activation(value @ matrix + bias)
-            layers.append((value, slope, matrix))
+            x = value @ matrix + bias
+            result = self._activation(x)
+            layers.append((value, self._slope(x, result), matrix))
             value = result
         return value, layers
 
 
-# Value and derivative of the activation functions.
-_ROOT = np.sqrt(2 / np.pi)
+_ROOT = float(np.sqrt(2 / np.pi))
 
 
-def _tanh(x: Array) -> tuple[Array, Array]:
-    value = np.tanh(x)
-    return value, 1 - value**2
+def _sigmoid(x: Array) -> Array:
+    return 0.5 * (1 + np.tanh(x / 2))
 
 
-def _gelu(x: Array) -> tuple[Array, Array]:
-    half = np.tanh(_ROOT * (x + 0.044715 * x**3))
-    slope = _ROOT * (1 + 3 * 0.044715 * x**2)
-    return x * (1 + half) / 2, (1 + half) / 2 + x * (1 - half**2) * slope / 2
+def _gelu_tanh(x: Array) -> Array:
+    value: Array = np.tanh(_ROOT * (x + 0.044715 * x**3))
+    return value
 
 
-def _relu(x: Array) -> tuple[Array, Array]:
-    return np.maximum(x, 0.0), (x > 0).astype(np.float64)
+def _gelu_slope(x: Array, _: Array) -> Array:
+    half, slope = _gelu_tanh(x), _ROOT * (1 + 3 * 0.044715 * x**2)
+    return (1 + half) / 2 + x * (1 - half**2) * slope / 2
 
 
-def _sigmoid(x: Array) -> tuple[Array, Array]:
-    value = 0.5 * (1 + np.tanh(x / 2))
-    return value, value * (1 - value)
-
-
-def _swish(x: Array) -> tuple[Array, Array]:
-    share, _ = _sigmoid(x)
-    return x * share, share + x * share * (1 - share)
-
-
-_ACTIVATIONS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
-    "tanh": _tanh,
-    "gelu": _gelu,
-    "relu": _relu,
-    "sigmoid": _sigmoid,
-    "swish": _swish,
+_Activation = tuple[Callable[[Array], Array], Callable[[Array, Array], Array]]
+_ACTIVATIONS: dict[str, _Activation] = {  # value, and slope given x and the value
+    "tanh": (np.tanh, lambda _, value: 1 - value**2),
+    "gelu": (lambda x: x * (1 + _gelu_tanh(x)) / 2, _gelu_slope),
+    "relu": (lambda x: np.maximum(x, 0.0), lambda x, _: (x > 0).astype(np.float64)),
+    "sigmoid": (_sigmoid, lambda _, value: value * (1 - value)),
+    "swish": (
+        lambda x: x * _sigmoid(x),
+        lambda x, value: _sigmoid(x) + value * (1 - _sigmoid(x)),
+    ),
 }
