@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Generic
+from typing import Generic
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
@@ -101,34 +100,27 @@ class Checkpoint(Generic[State]):
             return state
 
     def _read(self, path: Path, seed: int) -> State:
-        facts, arrays = read_archive(path, *self._procedure.checkpoint_format, "checkpoint")
-        with interpreting(path, "checkpoint"):
-            difference = self._difference(facts, seed)
-            if difference is None:
-                state = self._procedure.from_archive(facts, arrays)
-                state = replace(state, history=histories.from_arrays(arrays))
-            engine = facts["provenance"]["engine"]
-        if difference is not None:
-            raise InputError(f"{path} belongs to a run {difference}, or another checkpoint file.")
-        if engine != (current := self._procedure.engine.name):
-            _log.warning(
+        run, what = self._procedure, "checkpoint"
+        facts, arrays = read_archive(path, *run.checkpoint_format, what)
+        with interpreting(path, what):
+            cases, config = facts["cases"], config_from(facts["config"])
+            its_seed, engine = facts["seed"], facts["provenance"]["engine"]
+        for differs, difference in (
+            (cases != run.cases.fingerprint(), "on other cases. Give the same cases"),
+            (config != run.config, "with another configuration. Give the same one"),
+            (its_seed != seed, f"with seed {its_seed}, not {seed}. Give that seed"),
+        ):
+            if differs:
+                raise InputError(f"{path} belongs to a run {difference}, or another {what} file.")
+        if engine != run.engine.name:
+            words = (
                 "%s was written with the %s engine and continues with %s: the result agrees to "
-                "the accuracy of the solver, not bit for bit.",
-                path,
-                engine,
-                current,
+                "the accuracy of the solver, not bit for bit."
             )
-        return state
-
-    def _difference(self, facts: Mapping[str, Any], seed: int) -> str | None:
-        """Describe how the file's run differs from this one, and what to give instead."""
-        if facts["cases"] != self._procedure.cases.fingerprint():
-            return "on other cases. Give the same cases"
-        if config_from(facts["config"]) != self._procedure.config:
-            return "with another configuration. Give the same one"
-        if facts["seed"] != seed:
-            return f"with seed {facts['seed']}, not {seed}. Give that seed"
-        return None
+            _log.warning(words, path, engine, run.engine.name)
+        with interpreting(path, what):
+            state = run.from_archive(facts, arrays)
+            return replace(state, history=histories.from_arrays(arrays))
 
     def write(self, state: State) -> None:
         """Write a state and the identity of its run, after copying the file before.

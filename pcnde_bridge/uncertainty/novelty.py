@@ -9,7 +9,7 @@ largest remainder of the training cases, but at least with 2 % of their size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -136,12 +136,12 @@ class Novelty:
         tuple of two arrays of shape (case,)
             Scores of the inflow and of the area.
         """
-        of_inflow, of_area = _inflow_scale(self, inflow.shape[1]), _area_scale(self, z.tobytes())
+        of_inflow, of_area = _inflow_scorer(self, inflow.shape[1]), _area_scorer(self, z.tobytes())
         scores = np.empty((2, len(inflow)))
         for start in range(0, len(inflow), _CHUNK):
             rows = slice(start, start + _CHUNK)
-            scores[0, rows] = of_inflow.score(inflow[rows])
-            scores[1, rows] = of_area.score(np.sqrt(area_undeformed[rows]))
+            scores[0, rows] = of_inflow(inflow[rows])
+            scores[1, rows] = of_area(np.sqrt(area_undeformed[rows]))
         return scores[0], scores[1]
 
     def inflow_ends(self, n_times: int) -> Array:
@@ -206,43 +206,39 @@ def _interpolation(z: Array) -> tuple[Array, Array]:
     return matrix, np.append(np.zeros(_PLACES), z[-1] - z[0])
 
 
-class _Scale(NamedTuple):
-    """Affine map from inputs on one grid to scores, ``x @ matrix − offset``.
+_Scorer = Callable[[Array], Array]
 
-    The first ``n_axes`` results are the components, in half widths from the middle of the
-    box; the others are the remainder, relative to the tolerated remainder.
+
+def _scorer(matrix: Array, constant: Array, box: _Box) -> _Scorer:
+    """Return the function that scores inputs x whose description is ``x @ matrix + constant``.
+
+    It is an affine map first: to the components, in half widths from the middle of the box,
+    and to the remainder, relative to the tolerated remainder.
     """
-
-    matrix: Array
-    offset: Array
-    n_axes: int
-
-    def score(self, x: Array) -> Array:
-        """Return the score of each row."""
-        moved = x @ self.matrix - self.offset
-        beyond, left = np.abs(moved[:, : self.n_axes]), moved[:, self.n_axes :]
-        size = np.sqrt(np.einsum("ij,ij->i", left, left))
-        score: Array = np.maximum(beyond.max(axis=1, initial=0.0), size)
-        return score
-
-
-def _scale(matrix: Array, constant: Array, box: _Box) -> _Scale:
-    """Return the scale for inputs whose description is ``x @ matrix + constant``."""
-    remainder = np.eye(box.center.size) - box.axes.T @ box.axes
+    n_axes, remainder = len(box.axes), np.eye(box.center.size) - box.axes.T @ box.axes
     directions = np.concatenate([box.axes.T / box.range[1], remainder / box.rest[0]], axis=1)
     offset = (box.center - constant) @ directions
-    offset[: len(box.axes)] += box.range[0] / box.range[1]
-    return _Scale(matrix @ directions, offset, len(box.axes))
+    offset[:n_axes] += box.range[0] / box.range[1]
+    whole = matrix @ directions
+
+    def score(x: Array) -> Array:
+        moved = x @ whole - offset
+        beyond, left = np.abs(moved[:, :n_axes]), moved[:, n_axes:]
+        size = np.sqrt(np.einsum("ij,ij->i", left, left))
+        result: Array = np.maximum(beyond.max(axis=1, initial=0.0), size)
+        return result
+
+    return score
 
 
 @lru_cache(maxsize=8)
-def _inflow_scale(novelty: Novelty, n_times: int) -> _Scale:
+def _inflow_scorer(novelty: Novelty, n_times: int) -> _Scorer:
     analysis, box = _harmonic_analysis(n_times), novelty.inflow
     # Harmonics above Nyquist's frequency count as those of the mean inflow.
     unseen = np.where(analysis.any(axis=0), 0.0, box.center)
-    return _scale(analysis, unseen, box)
+    return _scorer(analysis, unseen, box)
 
 
 @lru_cache(maxsize=8)
-def _area_scale(novelty: Novelty, points: bytes) -> _Scale:
-    return _scale(*_interpolation(np.frombuffer(points)), novelty.area)
+def _area_scorer(novelty: Novelty, points: bytes) -> _Scorer:
+    return _scorer(*_interpolation(np.frombuffer(points)), novelty.area)
