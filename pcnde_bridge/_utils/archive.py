@@ -84,7 +84,7 @@ def read_archive(
     """
     with reading(path, f"a pcnde_bridge {what}"), np.load(path, allow_pickle=False) as archive:
         facts = _facts(archive)
-        _check_format(str(path), facts, kind, version, what)
+        check_format(path, facts, kind, version, what)
         check_members(archive.zip, Path(path).stat().st_size)
         # A damaged length in an array's own header would end its reading before the checksum
         # is compared, and a damaged table of contents would hide arrays.
@@ -139,19 +139,19 @@ def _facts(archive: Any) -> dict[str, Any]:
     return facts
 
 
-def _check_format(name: str, facts: Mapping[str, Any], kind: str, version: int, what: str) -> None:
-    """Raise unless the facts state the kind, in a version that is known."""
+def check_format(path: StrPath, facts: dict[str, Any], kind: str, version: int, what: str) -> None:
+    """Raise unless the facts of a file state its kind, in a version that is known."""
     found = facts.get("format")
     if found != kind:
         advice = ""
         if {kind, found} == _MODEL_KINDS:
             advice = f" Give a file of one {what}; pcnde_bridge.load_model reads either."
         other = f"a {found!r} file" if found else "something else"
-        raise FileError(f"{name} is not a pcnde_bridge {what} but {other}.{advice}")
+        raise FileError(f"{path} is not a pcnde_bridge {what} but {other}.{advice}")
     found_version = facts.get("format_version")
     if not isinstance(found_version, int) or found_version > version:
         raise FileError(
-            f"{name} was written by a newer pcnde_bridge (format {found_version}; this one reads "
+            f"{path} was written by a newer pcnde_bridge (format {found_version}; this one reads "
             f"up to {version}). Upgrade the package: pip install --upgrade pcnde-bridge."
         )
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import AnyArray, StrPath
+from pcnde_bridge._utils.archive import check_format
 from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed
@@ -62,14 +63,9 @@ def read_cases(path: StrPath) -> dict[str, AnyArray]:
 
 def _check_header(path: Path, header: Mapping[str, Any]) -> None:
     """Refuse files of other programs and of newer versions of this one."""
-    if str(header.get("format")) != FORMAT or "format_version" not in header:
-        raise FileError(f"{path} is not a data set that Cases.save wrote")
-    version = int(header["format_version"])
-    if version > FORMAT_VERSION:
-        raise FileError(
-            f"{path} has format version {version}, newer than {FORMAT_VERSION}, the newest that "
-            "this version of the package reads; update the package"
-        )
+    names = [name for name in ("format", "format_version") if name in header]
+    facts = {name: np.asarray(header[name]).item() for name in names}
+    check_format(path, facts, FORMAT, FORMAT_VERSION, "data set")
 
 
 def _suffix(path: StrPath) -> str:

@@ -114,10 +114,8 @@ class Vessel:
         ordered = sorted(self.stenoses, key=lambda s: s.position)
         for upstream, downstream in pairwise(ordered):
             if upstream.end > downstream.start:
-                raise InputError(
-                    f"The stenoses at {upstream.position:g} and {downstream.position:g} cm "
-                    "overlap; move or shorten one of them."
-                )
+                places = f"{upstream.position:g} and {downstream.position:g} cm"
+                raise InputError(f"The stenoses at {places} overlap; move or shorten one of them.")
 
     @property
     def healthy_area(self) -> float:
