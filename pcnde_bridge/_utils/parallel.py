@@ -111,15 +111,13 @@ class Outcome:
         return f"{len(self.failures)} of {total} tasks failed ({reasons})."
 
 
-def processes(workers: int, threads: int | None = 1) -> _Processes:
+def processes(workers: int) -> _Processes:
     """Return processes on this machine, each of which is replaced when it dies.
 
     Parameters
     ----------
     workers : int
-        Number of processes.
-    threads : int or None
-        Threads of XLA in each process; None allows all cores.
+        Number of processes, in each of which XLA has one thread.
 
     Raises
     ------
@@ -128,14 +126,13 @@ def processes(workers: int, threads: int | None = 1) -> _Processes:
     """
     workers = whole("workers", workers, 1)
     spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
-    pool = partial(futures.ProcessPoolExecutor, 1, spawn, _set_threads, (threads,))
+    pool = partial(futures.ProcessPoolExecutor, 1, spawn, _use_one_thread)
     return _Processes(workers, pool)
 
 
-def _set_threads(threads: int | None) -> None:
+def _use_one_thread() -> None:
     """Set the number of threads of XLA, which has not started yet in a new process."""
-    if threads is not None:
-        os.environ["NPROC"] = str(threads)
+    os.environ["NPROC"] = "1"
 
 
 def run(
