@@ -14,7 +14,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -31,16 +31,6 @@ from pcnde_bridge.uncertainty.novelty import EDGE
 _NUMBERS = ("blockage", "position", "length", "scale")
 _CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("waveform", "data")}
 """Component and property of each choice."""
-
-_DRAWN = (
-    *("along.figure", "over.figure", "along-title.children", "over-title.children"),
-    *("novelty.children", "novelty.className", "message.children", "progress.children"),
-)
-_UPLOADED = (
-    *("waveform.data", "uploaded.children", "uploaded.className"),
-    *("scale.value", "reset.hidden", "upload.contents"),
-)
-"""Component and property of each output of the callbacks that draw, and read a file."""
 
 
 def connect(app: Dash, explorer: Explorer) -> None:
@@ -68,25 +58,25 @@ def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
     return explorer.choices.inputs(**numbers, waveform=waveform)
 
 
-def _outputs(names: Iterable[str]) -> dict[str, Output]:
-    parts = {name: name.split(".") for name in names}
-    return {name: Output(component, value) for name, (component, value) in parts.items()}
-
-
 def _connect_drawing(app: Dash, explorer: Explorer) -> None:
     @app.callback(
-        output=_outputs(_DRAWN),
-        inputs={
-            "values": {name: Input(*component) for name, component in _CONTROLS.items()},
-            "time_index": Input("time-point", "value"),
-            "z_index": Input("grid-point", "value"),
-            "shown": Input("shown", "value"),
-            "_done": Input("done", "data"),
-        },
+        Output("along", "figure"),
+        Output("over", "figure"),
+        Output("along-title", "children"),
+        Output("over-title", "children"),
+        Output("novelty", "children"),
+        Output("novelty", "className"),
+        Output("message", "children"),
+        Output("progress", "children"),
+        {name: Input(*component) for name, component in _CONTROLS.items()},
+        Input("time-point", "value"),
+        Input("grid-point", "value"),
+        Input("shown", "value"),
+        Input("done", "data"),
     )
     def draw(
         values: dict[str, Any], time_index: int, z_index: int, shown: list[str], _done: str | None
-    ) -> dict[str, Any]:
+    ) -> tuple[Any, ...]:
         grid = explorer.model.grid
         valid = time_index in range(grid.time.size) and z_index in range(grid.z.size)
         if not valid or shown is None:  # the page itself never asks for these
@@ -96,42 +86,37 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
             along, over = explorer.along(inputs, time_index), explorer.over(inputs, z_index)
         except PCNDEError as error:
             empty = page.redraw({name: {} for name in explorer.variables}, 0)
-            unchanged = dict.fromkeys(("along-title.children", "over-title.children"), no_update)
-            figures = {"along.figure": empty, "over.figure": empty}
-            return (
-                dict.fromkeys(_DRAWN, "") | unchanged | figures | {"message.children": str(error)}
-            )
+            return empty, empty, no_update, no_update, "", "", str(error), ""
         found = explorer.prediction(inputs)
-        t, z = found.time[time_index], found.z[z_index]
+        t, z = float(found.time[time_index]), float(found.z[z_index])
         hidden = page.COMPARISONS.keys() - set(shown)
-        css_class, novelty = _describe_novelty(explorer.novelty(inputs))
-        return {
-            "along.figure": page.redraw(along, float(z), hidden),
-            "over.figure": page.redraw(over, float(t), hidden),
-            "along-title.children": f"Along the vessel at t = {t:.2f} s",
-            "over-title.children": f"Over one cycle at z = {z:.2f} cm",
-            "novelty.children": novelty,
-            "novelty.className": css_class,
-            "message.children": "",
-            "progress.children": _describe_progress(explorer, inputs, shown),
-        }
+        return (
+            page.redraw(along, z, hidden),
+            page.redraw(over, t, hidden),
+            f"Along the vessel at t = {t:.2f} s",
+            f"Over one cycle at z = {z:.2f} cm",
+            *_describe_novelty(explorer.novelty(inputs)),
+            "",
+            _describe_progress(explorer, inputs, shown),
+        )
 
 
-def _describe_novelty(scores: Mapping[str, float]) -> tuple[str, list[Any]]:
-    """Return ``inside`` or ``outside`` the training data, and a description."""
+def _describe_novelty(scores: Mapping[str, float]) -> tuple[list[Any], str]:
+    """Return a description, and whether the inputs are ``inside`` or ``outside``."""
     if not scores:
-        return "outside", ["No novelty score: this model has no record of its training data."]
+        return ["No novelty score: this model has no record of its training data."], "outside"
     beyond = [name for name, score in scores.items() if score > EDGE]
     numbers = ", ".join(f"{name} {score:.2f}" for name, score in scores.items())
     small = html.Small(f"Novelty: {numbers}; above 1 is outside.")
     if not beyond:
-        return "inside", [html.Strong("Inside the training data"), small]
-    return "outside", [
+        return [html.Strong("Inside the training data"), small], "inside"
+    text = [
         html.Strong("Outside the training data"),
         f"The {' and the '.join(beyond)} {'is' if len(beyond) == 1 else 'are'} unlike any "
         "training case. The model extrapolates: do not rely on this prediction.",
         small,
     ]
+    return text, "outside"
 
 
 def _describe_progress(explorer: Explorer, inputs: Inputs, shown: list[str]) -> list[Any]:
@@ -182,18 +167,23 @@ def _compute_latest(
 
 def _connect_upload(app: Dash, explorer: Explorer) -> None:
     @app.callback(
-        output=_outputs(_UPLOADED),
-        inputs={
-            "contents": Input("upload", "contents"),
-            "_reset": Input("reset", "n_clicks"),
-            "name": State("upload", "filename"),
-        },
+        Output("waveform", "data"),
+        Output("uploaded", "children"),
+        Output("uploaded", "className"),
+        Output("scale", "value"),
+        Output("reset", "hidden"),
+        Output("upload", "contents"),
+        Input("upload", "contents"),
+        Input("reset", "n_clicks"),
+        State("upload", "filename"),
         prevent_initial_call=True,
     )
-    def upload(contents: str | None, _reset: int, name: str | None) -> dict[str, Any]:
-        def changes(*values: Any) -> dict[str, Any]:
+    def upload(contents: str | None, _reset: int, name: str | None) -> tuple[Any, ...]:
+        def changes(
+            waveform: Any, note: str, style: str, scale: Any, hidden: Any
+        ) -> tuple[Any, ...]:
             # The contents are cleared, so that the same file can be uploaded again.
-            return dict(zip(_UPLOADED, (*values, None), strict=True))
+            return waveform, note, style, scale, hidden, None
 
         choices = explorer.choices
         if ctx.triggered_id == "reset":

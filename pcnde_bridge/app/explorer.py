@@ -105,7 +105,7 @@ class Explorer:
     def __init__(self, model: PCNDE, samples: int = 64) -> None:
         self.model = model
         self.samples = samples if model.uncertainty is not None else 0
-        self.choices = Choices.from_model(model)
+        self.choices = Choices(model)
         self.prediction: ResultCache[Prediction] = ResultCache(self._predict)
         self.interval: ResultCache[Limits] = ResultCache(
             lambda inputs: self._predict(inputs, self.samples).interval(0.9)

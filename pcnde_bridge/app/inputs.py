@@ -64,9 +64,13 @@ class Inputs:
     waveform: Waveform
 
 
-@dataclass(frozen=True)
 class Choices:
     """Choices that the controls offer for a model.
+
+    Parameters
+    ----------
+    model : PCNDE
+        Model, whose record of its training data gives the limits.
 
     Attributes
     ----------
@@ -84,40 +88,26 @@ class Choices:
         Whether position and length can be chosen.
     """
 
-    base: Waveform
-    healthy: Vessel
-    scale: Span
-    blockage: Span
-    position: Span
-    length: Span
-    from_training: bool
-    any_grid: bool
-
-    @classmethod
-    def from_model(cls, model: PCNDE) -> Choices:
-        """Derive the choices from the model's record of its training data."""
+    def __init__(self, model: PCNDE) -> None:
         z = model.grid.z - model.grid.z[0]
-        end = float(z[-1])
-        period, n_times = model.grid.period, model.grid.time.size
+        end, period = float(z[-1]), model.grid.period
         if model.novelty is None:
-            base, factors = coronary(period), (min(DATA_FACTORS), max(DATA_FACTORS))
-            healthy, blockages = Vessel(length=end), BLOCKAGES
+            self.base, factors = coronary(period), (min(DATA_FACTORS), max(DATA_FACTORS))
+            self.healthy, blockages = Vessel(length=end), BLOCKAGES
             throat, length = end / 2, min(0.5, end / 4)
         else:
-            base, factors = _strongest(model.novelty.inflow_ends(n_times), period)
-            healthy, blockages, throat, length = _stenosis(z, model.novelty.area_ends(z))
+            inflow = model.novelty.inflow_ends(model.grid.time.size)
+            self.base, factors = _strongest(inflow, period)
+            self.healthy, blockages, throat, length = _stenosis(z, model.novelty.area_ends(z))
         longest = max(length, min(_LONGEST, end / 2))
         reach = longest / 2 + _MARGIN
-        return cls(
-            base,
-            healthy,
-            scale=_around(*factors, 0.05),
-            blockage=_around(*blockages, 0.005, 0.0, 0.95),
-            position=_span(min(reach, throat), throat, throat, max(end - reach, throat), 0.05),
-            length=_span(min(_SHORTEST, length), length, length, longest, 0.05),
-            from_training=model.novelty is not None,
-            any_grid=model.any_grid,
-        )
+        ends = min(reach, throat), throat, throat, max(end - reach, throat)
+        self.position = _span(*ends, 0.05)
+        self.length = _span(min(_SHORTEST, length), length, length, longest, 0.05)
+        self.scale = _around(*factors, 0.05)
+        self.blockage = _around(*blockages, 0.005, 0.0, 0.95)
+        self.from_training = model.novelty is not None
+        self.any_grid = model.any_grid
 
     @property
     def initial(self) -> Inputs:

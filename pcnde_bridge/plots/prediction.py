@@ -70,7 +70,6 @@ def results(
     cases: Cases,
     *,
     other: Mapping[str, Array] | None = None,
-    other_label: str = "1D solver",
     truth_label: str = "3D, averaged",
     area_case: int = -1,
     position: float = 0.9,
@@ -85,10 +84,10 @@ def results(
     cases : Cases
         The truth; the paper shows its narrowest geometry with all waveforms.
     other : mapping of str to array of shape (case, time, z), optional
-        Results of another method, such as
+        Results of the 1D solver, see
         :class:`pcnde_bridge.evaluation.baselines.Solver1D`.
-    other_label, truth_label : str
-        Names of the other method and of the truth, for the legend.
+    truth_label : str
+        Name of the truth, for the legend.
     area_case : int
         The only case whose area is shown, because the areas hardly differ.
     position : float
@@ -112,7 +111,7 @@ def results(
     # The prediction is drawn last, above the others.
     methods = [
         (truth, truth_label, style.TRUTH_LINE),
-        (other or {}, other_label, style.OTHER_LINE),
+        (other or {}, "1D solver", style.OTHER_LINE),
         (predicted, "PCNDE", style.MODEL_LINE),
     ]
     if any(len(array) != len(cases) for arrays, *_ in methods for array in arrays.values()):

@@ -79,7 +79,7 @@ def table(time, *columns, header="time,flow"):
 
 
 def test_controls_follow_the_training_data(model):
-    choices = Choices.from_model(model)
+    choices = Choices(model)
     assert choices.from_training
     assert choices.any_grid
     assert choices.base.samples(32) == pytest.approx(waveforms()[3], abs=1e-9)
@@ -104,11 +104,11 @@ def test_controls_follow_the_training_data(model):
 def test_controls_for_a_single_training_case_and_without_training_data(model, bound):
     novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
     steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
-    choices = Choices.from_model(steady)
+    choices = Choices(steady)
     assert choices.initial.waveform.samples(32) == pytest.approx(np.ones(32))
     assert choices.initial.vessel.blockage == 0
     assert choices.blockage.maximum > choices.blockage.high == 0
-    choices = Choices.from_model(bound)
+    choices = Choices(bound)
     assert not choices.from_training
     assert not choices.any_grid
     # A model that is bound to its points keeps the position of the stenosis.
@@ -396,7 +396,7 @@ def assert_drawn(bench, page, model, inputs):
 
 
 def test_moving_a_control_changes_the_curves(bench, page, model):
-    choices = Choices.from_model(model)
+    choices = Choices(model)
     assert_drawn(bench, page, model, choices.initial)
     before = drawn(bench, page, "along")
     times = bench.move(page, 3)
@@ -442,7 +442,7 @@ def test_uploads_are_drawn_or_rejected(bench, page, model, tmp_path):
     upload.send_keys(str(good))
     bench.wait_for(lambda: "good.csv: 32 time points" in note.text)
     waveform, _ = read_waveform(good.read_bytes(), "good.csv", model)
-    choices = Choices.from_model(model)
+    choices = Choices(model)
     assert_drawn(bench, page, model, choices.inputs(blockage, 1.0, waveform=waveform))
     page.find_element("id", "reset").click()
     assert_drawn(bench, page, model, choices.inputs(blockage, choices.scale.start))
