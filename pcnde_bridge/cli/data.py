@@ -107,7 +107,7 @@ def doctor(
         say(f"{finding.what}: {finding.found}")
         if finding.advice:
             say(f"  → {finding.advice}")
-    if not any(finding.good for finding in findings if finding.is_engine):
+    if not any(finding.good for finding in findings if finding.what.startswith("engine")):
         raise PCNDEError("No engine is usable: nothing can be computed on this machine.")
 
 

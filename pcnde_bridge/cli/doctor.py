@@ -22,15 +22,12 @@ class Finding(NamedTuple):
         Subject, result, and suggested fix.
     good : bool
         Whether it is usable as it is.
-    is_engine : bool
-        Whether it is a compute engine.
     """
 
     what: str
     found: str
     advice: str = ""
     good: bool = True
-    is_engine: bool = False
 
 
 def examine(load: bool = False) -> list[Finding]:
@@ -51,15 +48,15 @@ def _jax() -> Finding:
     missing = [name for name in packages if find_spec(name) is None]
     if missing:
         advice = f"pip install {' '.join(missing)}"
-        return Finding("engine jax", f"{' and '.join(missing)} missing", advice, False, True)
+        return Finding("engine jax", f"{' and '.join(missing)} missing", advice, good=False)
     found = ", ".join(f"{name} {version(name)}" for name in packages)
-    return Finding("engine jax", found, is_engine=True)
+    return Finding("engine jax", found)
 
 
 def _julia(load: bool) -> Finding:
     status = julia_status()
     if not status.usable:
-        return Finding("engine julia", "not usable", status.message, False, True)
+        return Finding("engine julia", "not usable", status.message, good=False)
     facts = [
         f"Julia {status.version or 'running'} ({status.executable}), from {status.source}",
         f"project {status.project}",
@@ -71,10 +68,10 @@ def _julia(load: bool) -> Finding:
     found, advice = "; ".join(fact for fact in facts if fact), status.warning
     if status.source != "running" and (load or status.precompiled):
         if error := load_error(timeout=None if load else 120):
-            return Finding("engine julia", f"does not load; {found}", error, False, True)
+            return Finding("engine julia", f"does not load; {found}", error, good=False)
     elif not status.precompiled:
         advice = advice or "pcnde doctor --load compiles the packages now and reports errors"
-    return Finding("engine julia", found, advice, is_engine=True)
+    return Finding("engine julia", found, advice)
 
 
 def _data() -> Finding:

@@ -481,7 +481,7 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
 
 
 def test_doctor_without_an_engine_fails(run, monkeypatch):
-    bad = Finding("engine jax", "jax missing", "pip install jax", good=False, is_engine=True)
+    bad = Finding("engine jax", "jax missing", "pip install jax", good=False)
     monkeypatch.setattr(
         "pcnde_bridge.cli.doctor.examine", lambda load: [Finding("Python", "3"), bad]
     )
