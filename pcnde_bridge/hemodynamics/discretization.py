@@ -285,8 +285,8 @@ def _losses(
                 )
             if stenosis.length < 4 * dz:
                 raise InputError(
-                    f"The grid is too coarse: the stenosis of {name} is {stenosis.length:g} cm "
-                    f"long, less than 4 cells of {dz:g} cm; use more points."
+                    f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm "
+                    f"is shorter than 4 cells of {dz:g} cm; use more points."
                 )
         if tube.stenosis_loss == "none":
             continue
