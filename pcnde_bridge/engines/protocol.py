@@ -7,8 +7,9 @@ order or a flat parameter vector (see :mod:`pcnde_bridge.engines.parameters` and
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,31 +19,19 @@ from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.types import (
-    Fit,
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    Objective,
-    OnIteration,
-    Problem,
-    Solution,
-    SpatialPressureInputs,
-    TemporalFlowInputs,
-    TemporalPressureInputs,
-)
-
-InputsT = TypeVar("InputsT", contravariant=True)
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, Problem, Solution, StageInputs
 
 
-class Stage(Protocol[InputsT]):
+class Stage(Protocol):
     """One stage of the method.
 
     All methods take the stage's inputs, the grid (s, cm) and the configuration;
     ``target`` is an array of shape (case, time, z).
     """
 
-    def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
+    def solve(
+        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
+    ) -> Array:
         """Evaluate the stage, independently for every case.
 
         Returns
@@ -58,7 +47,7 @@ class Stage(Protocol[InputsT]):
         """
 
     def loss_and_gradient(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """Compute the squared error against the target, and its gradient.
 
@@ -67,7 +56,7 @@ class Stage(Protocol[InputsT]):
         """
 
     def losses(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
         """Compute the loss of :meth:`loss_and_gradient` for many parameter vectors.
 
@@ -83,7 +72,7 @@ class Stage(Protocol[InputsT]):
         """
 
     def objective(
-        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
+        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """Prepare :meth:`loss_and_gradient` for many evaluations.
 
@@ -96,7 +85,7 @@ class Stage(Protocol[InputsT]):
     def fit(
         self,
         parameters: Array,
-        inputs: InputsT,
+        inputs: StageInputs,
         target: Array,
         grid: Grid,
         config: PCNDEConfig,
@@ -197,7 +186,7 @@ class Closures(Protocol):
         """
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """Compute engine.
 
     Engines can be pickled: another process starts its own.
@@ -218,14 +207,15 @@ class Engine(Protocol):
 
     name: str
     versions: Mapping[str, str]
-    flow: Stage[FlowInputs]
-    intermediate_area: Stage[IntermediateAreaInputs]
-    fourier_area: Stage[FourierAreaInputs]
-    temporal_pressure: Stage[TemporalPressureInputs]
-    spatial_pressure: Stage[SpatialPressureInputs]
-    temporal_flow: Stage[TemporalFlowInputs]
+    flow: Stage
+    intermediate_area: Stage
+    fourier_area: Stage
+    temporal_pressure: Stage
+    spatial_pressure: Stage
+    temporal_flow: Stage
     closures: Closures
 
+    @abstractmethod
     def lbfgs(
         self,
         objective: Objective,
@@ -251,6 +241,7 @@ class Engine(Protocol):
             fit and are propagated.
         """
 
+    @abstractmethod
     def predict(
         self,
         parameters: Parameters,

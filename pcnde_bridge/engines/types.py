@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from pcnde_bridge._typing import Array
 
@@ -17,12 +17,14 @@ Objective = Callable[[Array], tuple[float, Array]]
 LBFGS = Callable[[Objective, Array, int, int, Callable[[Array, float], None]], None]
 """Signature of :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
 
+StageInputs = tuple[Array, ...]
+"""Inputs of a stage, one of the tuples below; all arrays are of shape (case, ...)."""
+
 Problem = Callable[[Array], tuple[Array, Array]]
 """Value of a closure and its Jacobian (one more axis) at the closure's parameters."""
 
 
-@dataclass(frozen=True)
-class FlowInputs:
+class FlowInputs(NamedTuple):
     """Inputs of the momentum equation.
 
     Attributes
@@ -37,8 +39,7 @@ class FlowInputs:
     area: Array
 
 
-@dataclass(frozen=True)
-class TemporalFlowInputs:
+class TemporalFlowInputs(NamedTuple):
     """Inputs of the momentum equation in time.
 
     Attributes
@@ -53,8 +54,7 @@ class TemporalFlowInputs:
     initial_flow: Array
 
 
-@dataclass(frozen=True)
-class IntermediateAreaInputs:
+class IntermediateAreaInputs(NamedTuple):
     """Inputs of the continuity equation.
 
     Attributes
@@ -69,8 +69,7 @@ class IntermediateAreaInputs:
     area_undeformed: Array
 
 
-@dataclass(frozen=True)
-class FourierAreaInputs:
+class FourierAreaInputs(NamedTuple):
     """Inputs of the periodic area.
 
     Attributes
@@ -85,8 +84,7 @@ class FourierAreaInputs:
     initial_area: Array
 
 
-@dataclass(frozen=True)
-class TemporalPressureInputs:
+class TemporalPressureInputs(NamedTuple):
     """Inputs of the first pressure stage.
 
     Attributes
@@ -102,8 +100,7 @@ class TemporalPressureInputs:
     area_undeformed: Array
 
 
-@dataclass(frozen=True)
-class SpatialPressureInputs:
+class SpatialPressureInputs(NamedTuple):
     """Inputs of the second pressure stage.
 
     Attributes
@@ -156,9 +153,4 @@ class Solution(NamedTuple):
 
     flow: Array
     area: Array
-    pressure: Array | None
-
-
-def arrays_of(inputs: Any) -> tuple[Array, ...]:
-    """Return the arrays of a stage's inputs, in their order."""
-    return tuple(getattr(inputs, field.name) for field in fields(inputs))
+    pressure: Array | None = None

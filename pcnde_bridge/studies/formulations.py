@@ -218,7 +218,7 @@ class _FormulationTraining(Procedure[_FormulationState]):
     def __init__(self, name: Formulation, cases: Cases, config: PCNDEConfig, engine: Engine):
         self.cases, self.engine, self._in_space = cases, engine, name == "spatial"
         self.config = config.replace(temporal_flow={"time_input": name == "temporal_with_time"})
-        self._stage: Stage[Any] = engine.flow if self._in_space else engine.temporal_flow
+        self._stage: Stage = engine.flow if self._in_space else engine.temporal_flow
         self._settings = config.flow if self._in_space else config.temporal_flow
 
     def start(self, seed: int) -> _FormulationState:

@@ -21,7 +21,7 @@ FitStage = Callable[[str, Any, Array], Array]
 
 
 def fit_area_stage(
-    stage: Stage[Any],
+    stage: Stage,
     inputs: Any,
     target: Array,
     grid: Grid,

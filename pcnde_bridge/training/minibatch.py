@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +11,10 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import Positions
-from pcnde_bridge.engines.types import arrays_of
 from pcnde_bridge.training.history import RunFit
 from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
 
-InputsT = TypeVar("InputsT")
 
 
 def random_batches(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
@@ -25,9 +23,9 @@ def random_batches(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positi
     return tuple(order[i : i + config.batch_size] for i in range(0, len(cases), config.batch_size))
 
 
-def select(inputs: InputsT, batch: Positions | slice) -> InputsT:
+def select(inputs: Any, batch: Positions | slice) -> Any:
     """Return the inputs of a stage for some of the cases."""
-    return type(inputs)(*(array[batch] for array in arrays_of(inputs)))
+    return type(inputs)(*(array[batch] for array in inputs))
 
 
 class MinibatchTraining(StagedTraining):

@@ -317,7 +317,7 @@ def test_the_users_jax_precision_stays_as_it_was():
     code = (
         "import numpy as np, jax.numpy as jnp\n"
         "from pcnde_bridge.engines import select_engine\n"
-        "from pcnde_bridge.engines.protocol import *\n"
+        "from pcnde_bridge.engines.types import *\n"
         "from pcnde_bridge.data.grid import Grid\n"
         "from pcnde_bridge import PAPER\n"
         "e = select_engine('jax')\n"

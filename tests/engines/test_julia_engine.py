@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import multiprocessing
 import os
@@ -13,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import types
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -27,12 +27,10 @@ from pcnde_bridge.engines.julia import runtime
 from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.julia.environment import (
     JuliaStatus,
-    compatible,
     core_version,
     julia_settings_file,
     julia_sources,
     julia_status,
-    juliacall_settings,
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
@@ -105,12 +103,9 @@ def test_the_users_file_names_julia(bare):
     assert julia_status().precompiled
 
 
-def core_by_path(bare: Path, sources: Path, *, lacking: str = "") -> JuliaStatus:
+def core_by_path(bare: Path, sources: Path) -> JuliaStatus:
     """Status with a project that has PCNDECore by path, listed with an outdated version."""
-    toml = (julia_sources() / "Project.toml").read_text()
-    needed = re.findall(r"^(\w+) = ", toml.split("[deps]")[1].split("[compat]")[0], re.MULTILINE)
-    assert "Lux" in needed
-    project = fake_project(bare, "PythonCall", *(name for name in needed if name != lacking))
+    project = fake_project(bare, "PythonCall")
     with (project / "Manifest.toml").open("a") as file:
         file.write(f'\n[[deps.PCNDECore]]\npath = {json.dumps(str(sources))}\nversion = "0.0.1"\n')
     settings_file(executable=str(fake_julia(bare)), project=str(project))
@@ -123,12 +118,6 @@ def test_the_core_of_a_project_is_compared_with_ours(bare):
     assert f'version = "{status.packages["PCNDECore"]}"' in (
         (julia_sources() / "Project.toml").read_text()
     )
-
-
-def test_a_core_newer_than_its_manifest_is_refused(bare):
-    status = core_by_path(bare, julia_sources(), lacking="SIMD")
-    assert not status.usable and "lacks SIMD." in status.message
-    assert "Pkg.develop" in status.message
 
 
 def test_another_core_is_named(bare):
@@ -160,14 +149,6 @@ def test_a_core_that_does_not_fit_is_refused(bare):
         runtime.start()
 
 
-@pytest.mark.parametrize(
-    ("version", "other", "fits"),
-    [("0.2.0", "0.2.7", True), ("0.2.0", "0.3.0", False), ("1.2", "1.9", True), ("1", "2", False)],
-)
-def test_versions_fit_as_julia_counts(version, other, fits):
-    assert compatible(version, other) is fits
-
-
 def test_signals_follow_the_threads(bare, monkeypatch):
     settings_file(
         executable=str(fake_julia(bare)),
@@ -183,13 +164,16 @@ def test_signals_follow_the_threads(bare, monkeypatch):
         runtime.start()
 
 
-def test_a_julia_that_may_crash_gives_a_warning():
-    status = JuliaStatus(True, "", "running", threads="2", handle_signals="no")
+def test_a_julia_that_may_crash_gives_a_warning(bare, monkeypatch):
+    juliacall = types.ModuleType("juliacall")
+    juliacall.CONFIG = {"inited": True, "opt_threads": "2", "opt_handle_signals": None}
+    monkeypatch.setitem(sys.modules, "juliacall", juliacall)
     with pytest.warns(PCNDEWarning, match="2 threads"):
-        runtime.warn_about_signals(status)
+        assert runtime.start() is juliacall
+    juliacall.CONFIG["opt_handle_signals"] = "yes"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        runtime.warn_about_signals(dataclasses.replace(status, handle_signals="yes"))
+        runtime.start()
 
 
 def test_variables_come_before_the_file(bare, monkeypatch):
@@ -245,7 +229,7 @@ def test_the_doctor_sees_that_julia_does_not_load(bare):
 
 def test_a_missing_julia_is_named(bare):
     settings_file(executable=str(bare / "absent"), project=str(bare))
-    assert f"no Julia at {bare / 'absent'}" in julia_status().message
+    assert f"{bare / 'absent'}, which {julia_settings_file()} names" in julia_status().message
     with pytest.raises(EngineUnavailableError, match="absent"):
         runtime.start()
 
@@ -497,13 +481,12 @@ def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
 
 def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.CompletedProcess[str]:
     """Run code in a fresh Python, which does not inherit what this one's engine has set."""
-    ours = juliacall_settings()
-    environment = {k: v for k, v in os.environ.items() if k not in ours} | variables
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON_JULIACALL")}
     done = subprocess.run(
         [sys.executable, "-c", code],
         input=input,
         cwd=cwd,
-        env=environment,
+        env=environment | variables,
         capture_output=True,
         timeout=600,
     )
@@ -520,7 +503,7 @@ def test_it_works_after_jax_and_leaves_main_alone():
         "import juliacall, numpy as np\n"
         "assert not juliacall.Main.seval('isdefined(Main, :PCNDECore)')\n"
         "from pcnde_bridge.config import PAPER\n"
-        "from pcnde_bridge.engines.protocol import FourierAreaInputs\n"
+        "from pcnde_bridge.engines.types import FourierAreaInputs\n"
         "from pcnde_bridge.data.grid import Grid\n"
         "grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
         "inputs = FourierAreaInputs(np.ones((2, 20, 5)), np.ones((2, 5)))\n"

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcnde_bridge.config import FourierAreaStage, PCNDEConfig
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 
 
 def flow_slope(flow: jax.Array, z: jax.Array) -> jax.Array:
@@ -33,12 +34,7 @@ def flow_slope(flow: jax.Array, z: jax.Array) -> jax.Array:
 
 
 def intermediate(
-    parameters: jax.Array,
-    flow: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
 ) -> jax.Array:
     """Integrate ∂Ŝ/∂t = −â ∂Q/∂z + b̂ from S_u over all cycles.
 
@@ -50,12 +46,10 @@ def intermediate(
     ----------
     parameters : array of shape (2·z,)
         â, b̂.
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    z, period
-        The grid, cm and s.
+    inputs : tuple of arrays
+        See :class:`~pcnde_bridge.engines.types.IntermediateAreaInputs`.
+    grid : tuple
+        Points, cm, and period, s.
     config : PCNDEConfig
         Settings with the number of cycles.
 
@@ -64,6 +58,7 @@ def intermediate(
     array of shape (case, cycles·time, z)
         Ŝ, cm².
     """
+    (flow, area_undeformed), (z, period) = inputs, grid
     n_times, cycles = flow.shape[1], config.intermediate_area.cycles
     a, b = jnp.split(parameters, 2)
     step = period / n_times
@@ -77,18 +72,8 @@ def intermediate(
     return area_undeformed[:, None] - a * integral + b * elapsed[:, None]
 
 
-def last_cycle(area: jax.Array, n_times: int) -> jax.Array:
-    """Return the last cycle of an intermediate area, (case, time, z)."""
-    return area[:, -n_times:]
-
-
 def fourier(
-    parameters: jax.Array,
-    flow: jax.Array,
-    initial_area: jax.Array,
-    z: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
 ) -> jax.Array:
     """Return the periodic S with S_n = −a/(iω_n) ∂Q_n/∂z and S₀ = Ŝ(t=0) − Σ S_n + b.
 
@@ -96,12 +81,10 @@ def fourier(
     ----------
     parameters : array of shape (2·z,)
         a, b.
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    initial_area : array of shape (case, z)
-        Ŝ(z, t=0), cm².
-    z, period
-        The grid, cm and s.
+    inputs : tuple of arrays
+        See :class:`~pcnde_bridge.engines.types.FourierAreaInputs`.
+    grid : tuple
+        Points, cm, and period, s.
     config : PCNDEConfig
         Number of terms, and the published code's variants.
 
@@ -110,6 +93,7 @@ def fourier(
     array of shape (case, time, z)
         S, cm².
     """
+    (flow, initial_area), (z, period) = inputs, grid
     a, b = jnp.split(parameters, 2)
     analysis, synthesis = fourier_integral(flow.shape[1], config.fourier_area)
     coefficients = jnp.einsum("kt,ntz->nkz", analysis, flow)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -24,87 +24,60 @@ from pcnde_bridge.engines.jax import (
 )
 from pcnde_bridge.engines.jax.closures.engine import JaxClosures
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
-from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, JaxStage, Model, Result, in_batches
-from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import Closures, Stage
-from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    Solution,
-    SpatialPressureInputs,
-    TemporalFlowInputs,
-    TemporalPressureInputs,
+from pcnde_bridge.engines.jax.stage import (
+    GridArrays,
+    Inputs,
+    JaxStage,
+    Model,
+    Result,
+    in_batches,
+    on_device,
 )
-
-__all__ = ["JaxEngine", "jax_engine"]
+from pcnde_bridge.engines.parameters import Parameters
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.staged import predict_by_stages
+from pcnde_bridge.engines.types import Solution
 
 
 def _flow(
     parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
 ) -> Result:
-    inflow, s = inputs
-    if config.flow.terms:
-        return physics_terms.solve(parameters, inflow, s, weight, grid, config)
-    return flow.solve(parameters, inflow, s, weight, grid[0], config)
+    solve = physics_terms.solve if config.flow.terms else flow.solve
+    return solve(parameters, inputs, weight, grid, config)
 
 
-def _temporal_flow(
-    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
-) -> Result:
-    inflow, initial_flow = inputs
-    return temporal_flow.solve(parameters, inflow, initial_flow, grid[1], config)
+def _explicit(
+    formula: Callable[[jax.Array, Inputs, GridArrays, PCNDEConfig], jax.Array],
+) -> Model:
+    """Return the model of a formula, which has a result for all parameters."""
 
-
-def _explicit(formula: Callable[..., jax.Array]) -> Model:
-    """Return the model of a formula, which has a result for all parameters.
-
-    The formula takes the parameters, the inputs, the points, the period and the configuration.
-    """
-
-    def model(
-        parameters: jax.Array,
-        inputs: Inputs,
-        weight: jax.Array,
-        grid: GridArrays,
-        config: PCNDEConfig,
-    ) -> Result:
-        return formula(parameters, *inputs, *grid, config), jnp.asarray(True)
+    def model(parameters: jax.Array, inputs: Inputs, _: jax.Array, *settings: Any) -> Result:
+        return formula(parameters, inputs, *settings), jnp.asarray(True)
 
     return model
 
 
-class JaxEngine:
-    """JAX implementation of :class:`pcnde_bridge.engines.protocol.Engine`."""
+class JaxEngine(Engine):
+    """Engine that computes in this process, with JAX and diffrax."""
 
     name = "jax"
     lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self) -> None:
-        self.versions: Mapping[str, str] = {
-            name: version(name) for name in ("jax", "jaxlib", "diffrax")
-        }
-        self.closures: Closures = JaxClosures()
-        self.flow: Stage[FlowInputs] = JaxStage(
+        self.versions = {name: version(name) for name in ("jax", "jaxlib", "diffrax")}
+        self.closures = JaxClosures()
+        self.flow = JaxStage(
             _flow,
             ("flow", "physics"),
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
             case_by_case=lambda config: config.flow.steps is None,
         )
-        self.intermediate_area: Stage[IntermediateAreaInputs] = JaxStage(
-            _explicit(area.intermediate), ("intermediate_area",), compared=area.last_cycle
-        )
-        self.fourier_area: Stage[FourierAreaInputs] = JaxStage(
-            _explicit(area.fourier), ("fourier_area",)
-        )
-        self.temporal_pressure: Stage[TemporalPressureInputs] = JaxStage(
-            _explicit(pressure.temporal), ("temporal_pressure", "physics")
-        )
-        self.spatial_pressure: Stage[SpatialPressureInputs] = JaxStage(
-            _explicit(pressure.spatial), ("spatial_pressure", "physics")
-        )
-        self.temporal_flow: Stage[TemporalFlowInputs] = JaxStage(_temporal_flow, ("temporal_flow",))
+        self.intermediate_area = JaxStage(_explicit(area.intermediate), ("intermediate_area",))
+        self.fourier_area = JaxStage(_explicit(area.fourier), ("fourier_area",))
+        pressure_settings = ("temporal_pressure", "spatial_pressure", "physics")
+        self.temporal_pressure = JaxStage(_explicit(pressure.temporal), pressure_settings)
+        self.spatial_pressure = JaxStage(_explicit(pressure.spatial), pressure_settings)
+        self.temporal_flow = JaxStage(temporal_flow.solve, ("temporal_flow",))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a name: compiled functions cannot be pickled."""
@@ -123,14 +96,9 @@ class JaxEngine:
             return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
         with double_precision():
             vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
-            z, period = jnp.asarray(grid.z), jnp.asarray(grid.period)
-
-            def compute(batch: Inputs) -> tuple[Inputs, jax.Array]:
-                q, s, p, solved = fused_predict.predict(vectors, *batch, z, period, config=config)
-                return ((q, s) if p is None else (q, s, p)), solved
-
-            flow_, area_, *pressure_ = in_batches(compute, (inflow, area_undeformed))
-        return Solution(flow_, area_, pressure_[0] if pressure_ else None)
+            predict = partial(fused_predict.predict, vectors, grid=on_device(grid), config=config)
+            predicted = in_batches(predict, (inflow, area_undeformed))
+        return Solution(*predicted)
 
 
 @cache

@@ -23,6 +23,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
 from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate as integrate_in_fixed_steps
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
@@ -57,27 +58,20 @@ def split_network(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> F
 
 
 def solve(
-    parameters: jax.Array,
-    inflow: jax.Array,
-    area: jax.Array,
-    weight: jax.Array,
-    z: jax.Array,
-    config: PCNDEConfig,
-) -> tuple[jax.Array, jax.Array]:
+    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
+) -> Result:
     """Integrate cases with common steps.
 
     Parameters
     ----------
     parameters : array of shape (size,)
         The network.
-    inflow : array of shape (case, time)
-        Q_in, mL/s.
-    area : array of shape (case, time, z)
-        S, cm².
+    inputs : tuple of arrays
+        See :class:`~pcnde_bridge.engines.types.FlowInputs`.
     weight : array of shape (case,)
         1, or 0 for a case that pads a batch and must not influence the steps.
-    z : array of shape (z,)
-        Points of the result, cm.
+    grid : tuple
+        Points, cm, and period, s.
     config : PCNDEConfig
         Network and tolerances.
 
@@ -88,6 +82,7 @@ def solve(
     solved : array of shape (case,)
         Whether the integration reached the last point.
     """
+    (inflow, area), (z, _) = inputs, grid
     network = split_network(parameters, inflow.shape[1], config)
     if config.flow.steps is not None:
         return _solve_in_fixed_steps(network, inflow, area, z, config)

@@ -24,6 +24,7 @@ from pcnde_bridge.engines.jax.area import flow_slope, fourier_integral
 from pcnde_bridge.engines.jax.flow import FlowNetwork, solve_hidden, split_network
 from pcnde_bridge.engines.jax.pressure import spatial_from_mean, temporal_mean
 from pcnde_bridge.engines.jax.separable import Separable
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 from pcnde_bridge.engines.staged import anchor
 
 
@@ -59,47 +60,42 @@ class _InSpace(NamedTuple):
 
 @partial(jax.jit, static_argnames="config")
 def predict(
-    parameters: dict[str, jax.Array],
-    inflow: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
-) -> tuple[jax.Array, jax.Array, jax.Array | None, jax.Array]:
+    parameters: dict[str, jax.Array], inputs: Inputs, grid: GridArrays, config: PCNDEConfig
+) -> tuple[Inputs, jax.Array]:
     """Predict flow, area and pressure.
 
     Parameters
     ----------
     parameters : dict of arrays
         Parameter vectors by stage.
-    inflow : array of shape (case, time)
-        Q_in, mL/s.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    z, period
-        The grid, cm and s.
+    inputs : tuple of arrays
+        Q_in (case, time), mL/s, and S_u (case, z), cm².
+    grid : tuple
+        Points, cm, and period, s.
     config : PCNDEConfig
         All settings.
 
     Returns
     -------
-    flow, area, pressure : array of shape (case, time, z)
-        mL/s, cm², and dyn/cm² or None without pressure stages.
+    predicted : tuple of arrays of shape (case, time, z)
+        Flow, mL/s, area, cm², and pressure, dyn/cm², unless there are no pressure stages.
     solved : array of shape (case,)
         Whether the momentum equation was integrated to the end in every pass.
     """
+    (inflow, area_undeformed), (z, period) = inputs, grid
     network = split_network(parameters["flow"], inflow.shape[1], config)
     in_time = _functions_of_time(network, inflow.shape[1], period, config)
     in_space = _couple(parameters, network, in_time, inflow, area_undeformed, z, config)
     flow = Separable(inflow[:, :, None], in_time.flow, in_space.flow)
     area = Separable(in_space.steady[:, None], in_time.area, in_space.area)
     if parameters["temporal_pressure"].size == 0:
-        return flow.values(), area.values(), None, in_space.solved
-    mean = temporal_mean(parameters["temporal_pressure"], flow, area, area_undeformed, config)
+        return (flow.values(), area.values()), in_space.solved
+    network_inputs = flow, area, area_undeformed
+    mean = temporal_mean(parameters["temporal_pressure"], network_inputs, config)
     q = flow.values()
-    vector = parameters["spatial_pressure"]
-    pressure = spatial_from_mean(vector, mean, q, area_undeformed, z, config)
-    return q, area.values(), pressure * config.physics.reference_pressure, in_space.solved
+    means = mean, q, area_undeformed
+    pressure = spatial_from_mean(parameters["spatial_pressure"], means, z, config)
+    return (q, area.values(), pressure * config.physics.reference_pressure), in_space.solved
 
 
 def _functions_of_time(

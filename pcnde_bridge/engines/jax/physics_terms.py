@@ -17,21 +17,17 @@ from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
 from pcnde_bridge.engines.jax.area import flow_slope
 from pcnde_bridge.engines.jax.flow import split_network
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
 
 DELTA = 1 / 3
 """δ of a parabolic velocity profile."""
 
 
 def solve(
-    parameters: jax.Array,
-    inflow: jax.Array,
-    area: jax.Array,
-    weight: jax.Array,
-    grid: tuple[jax.Array, jax.Array],
-    config: PCNDEConfig,
-) -> tuple[jax.Array, jax.Array]:
+    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
+) -> Result:
     """Integrate cases with common steps; see :func:`pcnde_bridge.engines.jax.flow.solve`."""
-    z, period = grid
+    (inflow, area), (z, period) = inputs, grid
     stage = config.flow
     activation = ACTIVATIONS[stage.activation]
     network = split_network(parameters, inflow.shape[1], config)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
 from pcnde_bridge.engines.jax.separable import Separable
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 from pcnde_bridge.engines.shared_terms import (
     STEEPNESS,
@@ -20,13 +23,7 @@ from pcnde_bridge.engines.shared_terms import (
 
 
 def temporal(
-    parameters: jax.Array,
-    flow: jax.Array,
-    area: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
 ) -> jax.Array:
     """Return p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q), the network over z.
 
@@ -34,12 +31,11 @@ def temporal(
     ----------
     parameters : array of shape (size,)
         The network.
-    flow, area : array of shape (case, time, z)
-        Q, mL/s, and S, cm².
-    area_undeformed : array of shape (case, z)
-        S_u, cm²; r₀ is the radius of its first point.
-    z, period
-        The grid; not used.
+    inputs : tuple of arrays
+        See :class:`~pcnde_bridge.engines.types.TemporalPressureInputs`; r₀ is the radius of the
+        first point.
+    grid : tuple
+        Points and period; not used.
     config : PCNDEConfig
         Network and constants.
 
@@ -48,36 +44,31 @@ def temporal(
     array of shape (case, time, z)
         p̂/p_ref.
     """
-    hidden, (matrix, bias) = _hidden(parameters, flow, area, area_undeformed, config)
-    scale: jax.Array = pressure_scale(area_undeformed, config.physics, jnp)
+    hidden, (matrix, bias) = _hidden(parameters, inputs, config)
+    scale: jax.Array = pressure_scale(inputs[-1], config.physics, jnp)
     return 1 + scale[:, None, None] * (hidden @ matrix + bias)
 
 
 def temporal_mean(
-    parameters: jax.Array,
-    flow: jax.Array | Separable,
-    area: jax.Array | Separable,
-    area_undeformed: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: tuple[Any, Any, jax.Array], config: PCNDEConfig
 ) -> jax.Array:
-    """Return the mean of :func:`temporal` over z, (case, time), without its pointwise values."""
-    hidden, (matrix, bias) = _hidden(parameters, flow, area, area_undeformed, config)
-    mean = hidden @ jnp.mean(matrix, axis=1) + jnp.mean(bias)
-    scale: jax.Array = pressure_scale(area_undeformed, config.physics, jnp)
-    return 1 + scale[:, None] * mean
+    """Return the mean of :func:`temporal` over z, (case, time), without its pointwise values.
+
+    Flow and area may be :class:`~pcnde_bridge.engines.jax.separable.Separable`.
+    """
+    hidden, (matrix, bias) = _hidden(parameters, inputs, config)
+    scale: jax.Array = pressure_scale(inputs[-1], config.physics, jnp)
+    return 1 + scale[:, None] * (hidden @ jnp.mean(matrix, axis=1) + jnp.mean(bias))
 
 
 def _hidden(
-    parameters: jax.Array,
-    flow: jax.Array | Separable,
-    area: jax.Array | Separable,
-    area_undeformed: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: tuple[Any, ...], config: PCNDEConfig
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
     """Return the last hidden layer of g_θ, (case, time, hidden), and the linear output layer.
 
-    The inputs are those of :func:`~pcnde_bridge.engines.shared_terms.network_inputs`.
+    The network's inputs are those of :func:`~pcnde_bridge.engines.shared_terms.network_inputs`.
     """
+    flow, area, area_undeformed = inputs
     stage, n_points = config.temporal_pressure, area_undeformed.shape[1]
     activation = ACTIVATIONS[stage.activation]
     widths = layer_sizes("temporal_pressure", config, 0, n_points)
@@ -99,26 +90,15 @@ def _hidden(
 
 
 def spatial(
-    parameters: jax.Array,
-    temporal: jax.Array,
-    flow: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
 ) -> jax.Array:
     """Return p*, see :func:`spatial_from_mean`, from the first stage's p̂* (case, time, z)."""
-    mean = jnp.mean(temporal, axis=2)
-    return spatial_from_mean(parameters, mean, flow, area_undeformed, z, config)
+    temporal, *others = inputs
+    return spatial_from_mean(parameters, (jnp.mean(temporal, axis=2), *others), grid[0], config)
 
 
 def spatial_from_mean(
-    parameters: jax.Array,
-    mean: jax.Array,
-    flow: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    config: PCNDEConfig,
+    parameters: jax.Array, inputs: Inputs, z: jax.Array, config: PCNDEConfig
 ) -> jax.Array:
     """Return p*: constant up to L/3, a tanh at the stenosis, constant from 2L/3.
 
@@ -129,12 +109,9 @@ def spatial_from_mean(
     ----------
     parameters : array of shape (2 + 2·time,)
         a₁, a₂, b₁(t), b₂(t).
-    mean : array of shape (case, time)
-        p̂*, the first stage's result, averaged over z.
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
+    inputs : tuple of arrays
+        p̂*, the first stage's result, averaged over z, (case, time), then Q (case, time, z), mL/s,
+        and S_u (case, z), cm².
     z : array of shape (z,)
         Points, cm.
     config : PCNDEConfig
@@ -145,6 +122,7 @@ def spatial_from_mean(
     array of shape (case, time, z)
         p/p_ref.
     """
+    mean, flow, area_undeformed = inputs
     physics = config.physics
     a1, a2 = parameters[0], parameters[1]
     b1, b2 = jnp.split(parameters[2:], 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,11 @@ from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.bfgs import minimize
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration, arrays_of
+from pcnde_bridge.engines.protocol import Stage
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, StageInputs
 from pcnde_bridge.errors import SolveError
 
-InputsT = TypeVar("InputsT")
-
 _LARGEST_BATCH = 128
-
 
 Inputs = tuple[jax.Array, ...]
 """Arrays of a stage's inputs, each of shape (case, ...)."""
@@ -40,8 +38,8 @@ The weights (case,) are 0 for cases that only pad a batch.
 """
 
 
-class JaxStage(Generic[InputsT]):
-    """JAX implementation of :class:`pcnde_bridge.engines.protocol.Stage`.
+class JaxStage(Stage):
+    """Stage that integrates or evaluates an equation in JAX.
 
     It is compiled once for each shape.  Numbers of cases are rounded up to 2^k or 3·2^(k−1),
     so that few shapes occur: the last, smaller batch of an epoch is padded to the others'.
@@ -53,9 +51,6 @@ class JaxStage(Generic[InputsT]):
     depends_on : tuple of str
         Groups of settings that the equation needs; a change of other settings
         does not trigger a compilation.
-    compared : callable
-        ``(prediction, n_times) -> array``, the part of the prediction that the loss
-        compares with the target.
     loss_scale : callable
         ``(config, count) -> divisor`` of the sum of squares.
     case_by_case : callable
@@ -68,13 +63,11 @@ class JaxStage(Generic[InputsT]):
         model: Model,
         depends_on: tuple[str, ...],
         *,
-        compared: Callable[[jax.Array, int], jax.Array] = lambda prediction, _: prediction,
         loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
         case_by_case: Callable[[PCNDEConfig], bool] = lambda _: False,
     ) -> None:
         self._model = model
         self._depends_on = depends_on
-        self._compared = compared
         self._loss_scale = loss_scale
         self._case_by_case = case_by_case
         compile_ = partial(jax.jit, static_argnames=("config",))
@@ -83,54 +76,43 @@ class JaxStage(Generic[InputsT]):
         self._value_and_gradient = compile_(jax.value_and_grad(self._loss))
         self._values = compile_(self._losses)
 
-    def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
+    def solve(
+        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
+    ) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
-            where, settings = _on_device(grid), self._relevant(config)
-
-            def compute(batch: Inputs) -> tuple[tuple[jax.Array], jax.Array]:
-                predicted, solved = self._solve(parameters, batch, where, config=settings)
-                return (predicted,), solved
-
-            (result,) = in_batches(compute, arrays_of(inputs))
+            settings = {"grid": on_device(grid), "config": self._relevant(config)}
+            (result,) = in_batches(partial(self._solve, parameters, **settings), inputs)
             return result
 
     def loss_and_gradient(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         return self._objective(_fit_data(inputs, target, grid), config)(parameters)
 
     def losses(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
-            data, settings = _fit_data(inputs, target, grid), self._relevant(config)
-            rows_per_call = max(1, _LARGEST_BATCH // len(data[1]))
-            parts = []
-            for start in range(0, len(parameters), rows_per_call):
-                part = parameters[start : start + rows_per_call]
-                # Padded with the first row, so that one shape is compiled.
-                rows = [*part, *[part[0]] * (rows_per_call - len(part))]
-                values = self._values(jnp.asarray(np.stack(rows)), *data, config=settings)
-                parts.append(np.asarray(values)[: len(part)])
-            return np.concatenate(parts)
+            data = _fit_data(inputs, target, grid)
+            return np.asarray(self._values(parameters, *data, config=self._relevant(config)))
 
     def objective(
-        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
+        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         # Cases of weight 0 are retained, so that all selections share one compilation.
         with double_precision():
-            arrays = tuple(jnp.asarray(a) for a in arrays_of(inputs))
-            data = arrays, jnp.asarray(weight, dtype=float), jnp.asarray(target), _on_device(grid)
+            arrays = tuple(inputs), weight.astype(float), target
+            data = *jax.tree.map(jnp.asarray, arrays), on_device(grid)
         return self._objective(data, config)
 
     def fit(
         self,
         parameters: Array,
-        inputs: InputsT,
+        inputs: StageInputs,
         target: Array,
         grid: Grid,
         config: PCNDEConfig,
@@ -164,16 +146,16 @@ class JaxStage(Generic[InputsT]):
 
     def _predict(
         self, parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
-    ) -> Result:
+    ) -> tuple[Inputs, jax.Array]:
         count = inputs[0].shape[0]
         if not self._case_by_case(config):
             predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
-            return predicted, jnp.broadcast_to(solved, (count,))
+            return (predicted,), jnp.broadcast_to(solved, (count,))
 
-        def one(*case: jax.Array) -> Result:
+        def one(*case: jax.Array) -> tuple[Inputs, jax.Array]:
             batch_of_one = tuple(a[None] for a in case)
             predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
-            return predicted[0], jnp.all(solved)
+            return (predicted[0],), jnp.all(solved)
 
         return jax.vmap(one)(*inputs)
 
@@ -189,28 +171,22 @@ class JaxStage(Generic[InputsT]):
         # In the step control every case with a positive weight counts alike.
         counted = (weight > 0).astype(weight.dtype)
         predicted, solved = self._model(parameters, inputs, counted, grid, config)
-        error = self._compared(predicted, target.shape[1]) - target
+        # The intermediate area has several cycles, of which the last is compared.
+        error = predicted[:, -target.shape[1] :] - target
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
         return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
 
-    def _losses(
-        self,
-        parameters: jax.Array,
-        inputs: Inputs,
-        weight: jax.Array,
-        target: jax.Array,
-        grid: GridArrays,
-        config: PCNDEConfig,
-    ) -> jax.Array:
-        """Return the loss of each row of parameters."""
-        return jax.vmap(lambda row: self._loss(row, inputs, weight, target, grid, config))(
-            parameters
-        )
+    def _losses(self, rows: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
+        """Return the loss of each row of parameters, for a limited number of rows at a time."""
+        at_once = max(1, _LARGEST_BATCH // len(data[1]))
+        loss = partial(self._loss, config=config)
+        found: jax.Array = jax.lax.map(lambda row: loss(row, *data), rows, batch_size=at_once)
+        return found
 
 
 def in_batches(
-    compute: Callable[[tuple[jax.Array, ...]], tuple[tuple[jax.Array, ...], jax.Array]],
+    compute: Callable[[Inputs], tuple[Inputs, jax.Array]],
     arrays: tuple[Array, ...],
 ) -> tuple[Array, ...]:
     """Compute cases in batches of a few sizes, and join the results.
@@ -247,17 +223,17 @@ def in_batches(
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
 
 
-def _on_device(grid: Grid) -> Result:
+def on_device(grid: Grid) -> GridArrays:
+    """Return points and period as JAX arrays."""
     return jnp.asarray(grid.z), jnp.asarray(grid.period)
 
 
-def _fit_data(inputs: Any, target: Array, grid: Grid) -> tuple[Any, ...]:
+def _fit_data(inputs: StageInputs, target: Array, grid: Grid) -> tuple[Any, ...]:
     """Return padded inputs, weights and target, and the grid, as JAX arrays."""
-    weight = np.zeros(_rounded_up(len(target)))
-    weight[: len(target)] = 1
+    weight = np.arange(_rounded_up(len(target))) < len(target)
     with double_precision():
-        (padded_target,) = _padded((target,))
-        return _padded(arrays_of(inputs)), jnp.asarray(weight), padded_target, _on_device(grid)
+        *arrays, padded_target = _padded((*inputs, target))
+        return tuple(arrays), jnp.asarray(weight, dtype=float), padded_target, on_device(grid)
 
 
 def _rounded_up(count: int) -> int:
@@ -265,10 +241,8 @@ def _rounded_up(count: int) -> int:
     return power * 3 // 4 if power >= 4 and count <= power * 3 // 4 else power
 
 
-def _padded(arrays: tuple[Array, ...]) -> tuple[jax.Array, ...]:
+def _padded(arrays: tuple[Array, ...]) -> Inputs:
     """Repeat the last case up to the next compiled size."""
     count = arrays[0].shape[0]
     missing = _rounded_up(count) - count
-    if missing == 0:
-        return tuple(jnp.asarray(a) for a in arrays)
     return tuple(jnp.asarray(np.concatenate([a, np.repeat(a[-1:], missing, 0)])) for a in arrays)

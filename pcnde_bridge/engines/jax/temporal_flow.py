@@ -11,28 +11,25 @@ import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 def solve(
-    parameters: jax.Array,
-    inflow: jax.Array,
-    initial_flow: jax.Array,
-    period: jax.Array,
-    config: PCNDEConfig,
-) -> tuple[jax.Array, jax.Array]:
+    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
+) -> Result:
     """Integrate one cycle, from its first time point to its last.
 
     Parameters
     ----------
     parameters : array of shape (size,)
         The network.
-    inflow : array of shape (case, time)
-        Q_in, mL/s; linear between the time points.
-    initial_flow : array of shape (case, z)
-        Q at the first time point, mL/s.
-    period : scalar
-        Length of the cycle, s.
+    inputs : tuple of arrays
+        See :class:`~pcnde_bridge.engines.types.TemporalFlowInputs`.
+    weight : array of shape (case,)
+        Not used: the cases do not influence each other.
+    grid : tuple
+        Points, cm, and period, s.
     config : PCNDEConfig
         Network, and steps between two time points.
 
@@ -43,6 +40,7 @@ def solve(
     solved : array of shape (case,)
         Whether every value is finite.
     """
+    (inflow, initial_flow), (_, period) = inputs, grid
     stage = config.temporal_flow
     n_times, n_points = inflow.shape[1], initial_flow.shape[1]
     activation = ACTIVATIONS[stage.activation]

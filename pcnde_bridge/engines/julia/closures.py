@@ -13,13 +13,12 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import Problem, Solution
 
-__all__ = ["JuliaClosures"]
 
-
-class JuliaClosures:
-    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Closures`.
+class JuliaClosures(Closures):
+    """Closures that call PCNDECore's functions.
 
     Parameters
     ----------
@@ -53,8 +52,7 @@ class JuliaClosures:
         config: ClosureConfig,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        positions = points.astype(np.float64)  # like every array that Julia receives
-        fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, positions
+        fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, points
         return self._problem("flow", fixed, grid, config)
 
     def predict(
@@ -68,22 +66,17 @@ class JuliaClosures:
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         shape = len(inflow), inflow.shape[1], grid.z.size
-        flow, area, pressure = (self._buffers.empty(shape) for _ in range(3))
-        vectors = (vector for _, vector in parameters)
-        inputs = *vectors, shift, inflow, area_undeformed, grid.z
+        result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
+        inputs = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
         # Referenced here, because Julia uses their memory until it returns.
-        arrays = [flow, area, pressure, *(np.ascontiguousarray(a, np.float64) for a in inputs)]
+        arrays = [*result, *(np.ascontiguousarray(a, np.float64) for a in inputs)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
-        return Solution(flow, area, pressure)
+        return result
 
-    def _problem(
-        self, name: str, inputs: tuple[Array, ...], grid: Grid, config: ClosureConfig
-    ) -> Problem:
+    def _problem(self, name: str, *data: Any) -> Problem:
+        # No Julia object is stored, which another thread might release.
         def evaluate(parameters: Array) -> tuple[Array, Array]:
-            # No Julia object is stored, which another thread might release.
-            value, jacobian = self._call(
-                "closure", name, parameters, inputs, grid.z, float(grid.period), config
-            )
+            value, jacobian = self._call("closure", name, parameters, *data)
             return value, jacobian
 
         return evaluate

@@ -5,7 +5,7 @@ Julia starts when a :class:`JuliaEngine` is created, not when this module is imp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -15,25 +15,14 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.closures import JuliaClosures
 from pcnde_bridge.engines.julia.runtime import running
 from pcnde_bridge.engines.julia.stage import JuliaStage
-from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.protocol import Closures, Stage
+from pcnde_bridge.engines.parameters import STAGES, Parameters
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    Objective,
-    Solution,
-    SpatialPressureInputs,
-    TemporalFlowInputs,
-    TemporalPressureInputs,
-)
-
-__all__ = ["JuliaEngine", "julia_engine"]
+from pcnde_bridge.engines.types import Objective, Solution
 
 
-class JuliaEngine:
-    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Engine`.
+class JuliaEngine(Engine):
+    """Engine that calls PCNDECore.
 
     The first one starts Julia, once per process.
 
@@ -46,19 +35,11 @@ class JuliaEngine:
     name = "julia"
 
     def __init__(self) -> None:
-        self._julia = julia = running()
-        self.versions: Mapping[str, str] = julia.versions
-        self.closures: Closures = JuliaClosures(julia.call)
-        self.flow: Stage[FlowInputs] = JuliaStage(julia, "flow")
-        self.intermediate_area: Stage[IntermediateAreaInputs] = JuliaStage(
-            julia, "intermediate_area"
-        )
-        self.fourier_area: Stage[FourierAreaInputs] = JuliaStage(julia, "fourier_area")
-        self.temporal_pressure: Stage[TemporalPressureInputs] = JuliaStage(
-            julia, "temporal_pressure"
-        )
-        self.spatial_pressure: Stage[SpatialPressureInputs] = JuliaStage(julia, "spatial_pressure")
-        self.temporal_flow: Stage[TemporalFlowInputs] = JuliaStage(julia, "temporal_flow")
+        self._julia = running()
+        self.versions = self._julia.versions
+        self.closures = JuliaClosures(self._julia.call)
+        for stage in (*STAGES, "temporal_flow"):
+            setattr(self, stage, JuliaStage(self._julia, stage))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a name: Julia's functions cannot be pickled."""
@@ -75,11 +56,9 @@ class JuliaEngine:
         """See :class:`pcnde_bridge.engines.protocol.Engine`."""
         if config.flow.terms:
             return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
-        vectors = tuple(vector for _, vector in parameters)
-        cases = inflow, area_undeformed
-        where = grid.z, float(grid.period)
-        passes = config.coupling_passes
-        return Solution(*self._julia.call("predict", vectors, *cases, *where, passes, config))
+        vectors, passes = tuple(dict(parameters).values()), config.coupling_passes
+        cases = inflow, area_undeformed, grid
+        return Solution(*self._julia.call("predict", vectors, *cases, passes, config))
 
     def lbfgs(
         self,
@@ -89,7 +68,7 @@ class JuliaEngine:
         iterations: int,
         on_iteration: Callable[[Array, float], None],
     ) -> None:
-        """Run Optim's ``LBFGS``; see :class:`pcnde_bridge.engines.protocol.Engine`."""
+        """Run Optim's ``LBFGS``."""
 
         def evaluate(x: Any, result: Any) -> None:
             array = result.to_numpy(copy=False)

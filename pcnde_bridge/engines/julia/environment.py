@@ -21,15 +21,12 @@ They are named by the first of these that is present:
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
-import re
-import shutil
 import sys
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +37,10 @@ SIGNALS, THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
 
 _NEEDED = ("PCNDECore", "PythonCall")
 _COMPUTING = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
-_OLDEST = (1, 10, 3)  # of juliacall
+_OLDEST = "1.10.3"  # of juliacall
 
 
-@dataclass(frozen=True)
+@dataclass
 class JuliaStatus:
     """Julia on this machine, examined without starting it.
 
@@ -60,7 +57,7 @@ class JuliaStatus:
     executable, project : Path or None
         Julia's program, and the project with its packages.
     environment : mapping of str to str
-        Variables to set for Julia unless they are set already.
+        Variables to set before Julia starts; none of them is set in this process.
     version : str or None
         Julia's version.
     packages : mapping of str to str
@@ -75,15 +72,15 @@ class JuliaStatus:
         Problem that does not prevent its use; may be empty.
     """
 
-    usable: bool
-    message: str
-    source: str
+    usable: bool = False
+    message: str = ""
+    source: str = "environment"
     installable: bool = False
     executable: Path | None = None
     project: Path | None = None
-    environment: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=dict)
     version: str | None = None
-    packages: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    packages: Mapping[str, str] = field(default_factory=dict)
     precompiled: bool = False
     offline: bool = False
     threads: str = "1"
@@ -99,23 +96,22 @@ def julia_status() -> JuliaStatus:
     JuliaStatus
         Problems are reported in its message; nothing is raised.
     """
-    facts: dict[str, Any] = {"source": "environment", **_settings(os.environ)}
+    status = JuliaStatus()
     try:
-        facts |= _named()
-        facts |= _settings(_variables(facts))
-        if facts["source"] == "juliapkg":
-            facts |= _by_juliapkg(facts)
-        facts |= _executable(facts)
-        facts |= _packages(facts)
+        variables = _read_settings(status)
+        if status.source == "juliapkg":
+            _ask_juliapkg(status)
+        status.version = _check_executable(status)
+        _check_packages(status, variables.get("JULIA_DEPOT_PATH", ""))
     except EngineUnavailableError as error:
-        return JuliaStatus(False, str(error), **facts)
+        status.message = str(error)
     except (OSError, ValueError) as error:
-        message = f"The Julia project cannot be read: {error}. {how_to_prepare()}"
-        return JuliaStatus(False, message, **facts)
-    message = f"Julia {facts['version']} with PCNDECore {facts['packages']['PCNDECore']} is ready"
-    if not facts["precompiled"]:
-        message += ", but not precompiled: the first start takes minutes"
-    return JuliaStatus(True, f"{message}.", **facts)
+        status.message = f"The Julia project cannot be read: {error}. {how_to_prepare()}"
+    else:
+        core, status.usable = status.packages["PCNDECore"], True
+        slow = "" if status.precompiled else ", but not precompiled: the first start takes minutes"
+        status.message = f"Julia {status.version} with PCNDECore {core} is ready{slow}."
+    return status
 
 
 def julia_settings_file() -> Path:
@@ -135,28 +131,6 @@ def julia_sources() -> Path:
     )
 
 
-def juliacall_settings(variables: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the defaults for juliacall's variables; the user's own values take precedence.
-
-    Parameters
-    ----------
-    variables : mapping of str to str, optional
-        The user's environment variables; by default, those of this process.
-    """
-    given = os.environ if variables is None else variables
-    settings = {
-        "PYTHON_JULIACALL_STARTUP_FILE": "no",
-        "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no",
-    }
-    if "JULIA_NUM_THREADS" not in given:
-        settings[THREADS] = "1"
-    # With one thread Julia needs no signals, and Python keeps them all.  With more, the garbage
-    # collector stops the other threads through SIGSEGV: unless Julia handles that signal, the
-    # process dies (signal 11).
-    settings[SIGNALS] = "no" if _threads(given) == "1" else "yes"
-    return settings
-
-
 def how_to_prepare() -> str:
     """Return instructions for machines where juliapkg cannot install Julia."""
     return (
@@ -171,7 +145,7 @@ def check_core(version: str, where: Path | str, project: Path | str) -> None:
     Parameters
     ----------
     version : str
-        Version of the project's PCNDECore.
+        Version of the project's PCNDECore; only its last number may differ from ours.
     where, project : Path or str
         Its location and the project, for the message.
 
@@ -180,141 +154,145 @@ def check_core(version: str, where: Path | str, project: Path | str) -> None:
     EngineUnavailableError
         With both versions and the command that updates the project.
     """
-    ours = core_version(julia_sources()) or ""
-    if not compatible(version, ours):
+    ours = core_version(julia_sources())
+    if version.rpartition(".")[0] != ours.rpartition(".")[0]:
         raise EngineUnavailableError(
             f"The Julia project {project} has PCNDECore {version} ({where}), and pcnde_bridge "
             f"needs {ours}. Update it with: {_command(project)}"
         )
 
 
-def core_version(folder: Path) -> str | None:
-    """Return the version of the PCNDECore in a folder."""
-    version: str | None = _toml(folder / "Project.toml").get("version")
-    return version
+def core_version(folder: Path) -> str:
+    """Return the version of the PCNDECore in a folder; empty if it has none."""
+    return str(_toml(folder / "Project.toml").get("version", ""))
 
 
-def compatible(version: str, other: str) -> bool:
-    """Return whether two versions agree up to their first non-zero number."""
-    numbers, others = (re.findall(r"\d+", v) for v in (version, other))
-    significant = 1 if numbers[:1] != ["0"] else 2
-    return numbers[:significant] == others[:significant]
+def _read_settings(status: JuliaStatus) -> dict[str, str]:
+    """Enter the settings with which Julia starts, or was started; return all variables."""
+    config = getattr(sys.modules.get("juliacall"), "CONFIG", {})
+    variables = {
+        "PYTHON_JULIACALL_STARTUP_FILE": "no",
+        "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no",
+    }
+    if config.get("inited"):
+        status.source = "running"
+        settings = {EXECUTABLE: "exepath", PROJECT: "project"}
+        settings |= {THREADS: "opt_threads", SIGNALS: "opt_handle_signals"}
+        variables |= os.environ | {EXECUTABLE: "julia", PROJECT: "", THREADS: "1", SIGNALS: "no"}
+        variables |= {name: str(config[key]) for name, key in settings.items() if config.get(key)}
+    else:
+        given = [name for name in (EXECUTABLE, PROJECT) if os.environ.get(name)]
+        if len(given) == 1:
+            raise EngineUnavailableError(
+                f"{EXECUTABLE} and {PROJECT} must be set together: set the other one too, or "
+                "neither."
+            )
+        named = {} if given else _read_file(status)
+        variables |= named | os.environ
+    if variables.get(EXECUTABLE):
+        status.executable, status.project = Path(variables[EXECUTABLE]), Path(variables[PROJECT])
+    else:
+        status.source = "juliapkg"
+    status.threads = variables.get(THREADS, variables.get("JULIA_NUM_THREADS", "1"))
+    # With one thread Julia needs no signals, and Python keeps them all.  With more, the garbage
+    # collector stops the other threads through SIGSEGV: unless Julia handles that signal, the
+    # process dies (signal 11).
+    variables.setdefault(SIGNALS, "no" if status.threads == "1" else "yes")
+    status.handle_signals = variables[SIGNALS]
+    status.offline = variables.get("PYTHON_JULIAPKG_OFFLINE") == "yes" or (
+        variables.get("JULIA_PKG_OFFLINE", "").lower() == "true"
+    )
+    if status.source != "running":
+        status.environment = {k: v for k, v in variables.items() if k not in os.environ}
+    return variables
 
 
-def _named() -> dict[str, Any]:
-    """Return the source and, unless that is juliapkg, the executable and the project."""
-    juliacall = sys.modules.get("juliacall")
-    if juliacall is not None and juliacall.CONFIG.get("inited"):
-        return _paths("running", juliacall.CONFIG.get("exepath"), juliacall.CONFIG.get("project"))
-    executable, project = os.environ.get(EXECUTABLE), os.environ.get(PROJECT)
-    if executable and project:
-        return _paths("environment", executable, project)
-    if executable or project:
-        raise EngineUnavailableError(
-            f"{EXECUTABLE} and {PROJECT} must be set together: set the other one too, or neither."
-        )
+def _read_file(status: JuliaStatus) -> dict[str, str]:
+    """Return the variables that the user's file sets; none without the file."""
     file = julia_settings_file()
     if not file.is_file():
-        return {"source": "juliapkg"}
+        return {}
+    status.source = "file"
     try:
         settings = json.loads(file.read_text(encoding="utf-8"))
-        named = _paths("file", settings["executable"], settings["project"])
-        variables = {str(k): str(v) for k, v in settings.get("environment", {}).items()}
+        named = {EXECUTABLE: settings["executable"], PROJECT: settings["project"]}
+        return {k: str(v) for k, v in {**settings.get("environment", {}), **named}.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise EngineUnavailableError(
             f"{file} cannot be read as Julia settings ({error!r}): it needs the JSON keys "
             '"executable" and "project". Correct or remove it.'
         ) from error
-    return {**named, "environment": variables}
 
 
-def _paths(source: str, executable: str | None, project: str | None) -> dict[str, Any]:
-    return {
-        "source": source,
-        "executable": Path(executable or "julia"),
-        "project": Path(project or ""),
-    }
-
-
-def _by_juliapkg(facts: dict[str, Any]) -> dict[str, Any]:
-    """Return the executable and project that juliapkg has installed."""
+def _ask_juliapkg(status: JuliaStatus) -> None:
+    """Enter the executable and project that juliapkg has installed."""
     try:
         import juliapkg
 
         if juliapkg.resolve(dry_run=True):
-            return _paths("juliapkg", juliapkg.executable(), juliapkg.project())
+            status.executable = Path(juliapkg.executable())
+            status.project = Path(juliapkg.project())
+            return
     except Exception as error:
         raise EngineUnavailableError(
             f"juliapkg, which installs Julia, failed: {error}. {how_to_prepare()}"
         ) from error
-    if facts["offline"]:
-        raise EngineUnavailableError(
-            "Julia is not installed, and PYTHON_JULIAPKG_OFFLINE forbids its installation. "
-            f"{how_to_prepare()}"
+    status.installable = not status.offline
+    if status.offline:
+        reason = "and PYTHON_JULIAPKG_OFFLINE forbids its installation."
+    else:
+        reason = (
+            'yet: engine="julia" downloads it and its packages once (some minutes, about 2 GB). '
+            "For a machine without network access:"
         )
-    facts["installable"] = True
-    raise EngineUnavailableError(
-        'Julia is not installed yet: engine="julia" downloads it and its packages once '
-        f"(some minutes, about 2 GB). For a machine without network access: {how_to_prepare()}"
-    )
+    raise EngineUnavailableError(f"Julia is not installed {reason} {how_to_prepare()}")
 
 
-def _executable(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the checked executable and its version."""
+def _check_executable(status: JuliaStatus) -> str:
+    """Return Julia's version, unless Julia cannot be used."""
     from juliapkg.find_julia import julia_version
 
-    named = {"environment": EXECUTABLE, "file": str(julia_settings_file())}
-    where = named.get(facts["source"], facts["source"])
-    executable = shutil.which(facts["executable"])
-    if executable is None:
-        raise EngineUnavailableError(
-            f"There is no Julia at {facts['executable']}, which {where} names. Correct it there."
-        )
-    version = julia_version(executable)
+    executable, version = status.executable, julia_version(str(status.executable))
     if version is None:
-        raise EngineUnavailableError(f"{executable} does not run as Julia. Correct it in {where}.")
-    if (version.major, version.minor, version.patch) < _OLDEST:
-        oldest = ".".join(map(str, _OLDEST))
+        named = {"environment": EXECUTABLE, "file": str(julia_settings_file())}
+        where = named.get(status.source, status.source)
         raise EngineUnavailableError(
-            f"Julia {version} at {executable} is too old: {oldest} or newer is needed."
+            f"{executable}, which {where} names, does not run as Julia. Correct it there."
         )
-    return {"executable": Path(executable), "version": str(version)}
+    if version < _OLDEST:
+        raise EngineUnavailableError(
+            f"Julia {version} at {executable} is too old: {_OLDEST} or newer is needed."
+        )
+    return str(version)
 
 
-def _packages(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the checked packages of the project."""
-    project = facts["project"]
-    versions, core = _read_manifest(project)
-    missing = [name for name in _NEEDED if not versions.get(name)]
-    if core is not None:  # its sources can be newer than the manifest
-        dependencies = _toml(core / "Project.toml").get("deps", {})
-        missing += [name for name in dependencies if name not in versions]
-    if missing:
+def _check_packages(status: JuliaStatus, depots: str) -> None:
+    """Enter the packages of the project, unless some are missing or do not fit."""
+    project = status.project or Path()
+    manifest = next(iter(sorted(project.glob("*Manifest*.toml"))), project / "Manifest.toml")
+    entries = {name: entry for name, (entry, *_) in _toml(manifest).get("deps", {}).items()}
+    versions = {name: entry.get("version", "") for name, entry in entries.items()}
+    ours, where = julia_sources(), project
+    if "path" in entries.get("PCNDECore", {}):
+        # The manifest has the version of the day on which it was written.
+        where = project / entries["PCNDECore"]["path"]
+        versions["PCNDECore"] = core_version(where)
+        if _contents(where) != _contents(ours):
+            status.warning = (
+                f"The project has PCNDECore from {where}, which differs from this package's "
+                f"{ours}: the former runs."
+            )
+    if missing := [name for name in _NEEDED if not versions.get(name)]:
         raise EngineUnavailableError(
             f"The Julia project {project} lacks {', '.join(missing)}. Add what is missing "
             f"with: {_command(project)}"
         )
-    check_core(versions["PCNDECore"], core or project, project)
-    depots = _variables(facts).get("JULIA_DEPOT_PATH", "")
-    return {
-        "packages": {name: versions[name] for name in _COMPUTING if versions.get(name)},
-        "precompiled": _is_precompiled(facts["version"], depots),
-        "warning": _difference(core),
-    }
-
-
-def _read_manifest(project: Path) -> tuple[dict[str, str], Path | None]:
-    """Return the versions of all packages, and PCNDECore's own folder if it has one."""
-    versions: dict[str, str] = {}
-    core = None
-    for file in sorted(project.glob("*Manifest*.toml"))[:1]:
-        for name, (entry, *_) in _toml(file).get("deps", {}).items():
-            versions[name] = entry.get("version", "")
-            if name == "PCNDECore" and "path" in entry:
-                core = project / entry["path"]
-                # The manifest has the version of the day on which it was written.
-                versions[name] = core_version(core) or versions[name] or "missing"
-    return versions, core
+    check_core(versions["PCNDECore"], where, project)
+    status.packages = {name: versions[name] for name in _COMPUTING if versions.get(name)}
+    major_minor = str(status.version).rpartition(".")[0]
+    compiled = f"compiled/v{major_minor}/PCNDECore/*.ji"
+    folders = [folder for folder in depots.split(os.pathsep) if folder] or ["~/.julia"]
+    status.precompiled = any(any(Path(folder).expanduser().glob(compiled)) for folder in folders)
 
 
 def _toml(file: Path) -> dict[str, Any]:
@@ -322,28 +300,10 @@ def _toml(file: Path) -> dict[str, Any]:
     return tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
-def _difference(core: Path | None) -> str:
-    """Return a warning if a project's PCNDECore differs from this package's."""
-    ours = julia_sources()
-    if core is None or _contents(core) == _contents(ours):
-        return ""
-    return (
-        f"The project has PCNDECore from {core}, which differs from this package's {ours}: "
-        "the former runs."
-    )
-
-
-def _contents(package: Path) -> dict[str, bytes]:
-    files = [package / "Project.toml", *(package / "src").rglob("*.jl")]
-    return {str(file.relative_to(package)): file.read_bytes() for file in files if file.is_file()}
-
-
-def _is_precompiled(version: str, depots: str) -> bool:
-    """Return whether a depot has a compiled PCNDECore for this version of Julia."""
-    folders = [d for d in depots.split(os.pathsep) if d] or [str(Path.home() / ".julia")]
-    major_minor = ".".join(version.split(".")[:2])
-    pattern = f"compiled/v{major_minor}/PCNDECore/*.ji"
-    return any(any(Path(folder).glob(pattern)) for folder in folders)
+def _contents(package: Path) -> dict[Path, bytes]:
+    """Return the files of a Julia package that Julia runs."""
+    files = [*package.glob("Project.toml"), *package.glob("src/**/*.jl")]
+    return {file.relative_to(package): file.read_bytes() for file in files}
 
 
 def _command(project: Path | str) -> str:
@@ -353,29 +313,3 @@ def _command(project: Path | str) -> str:
         f'Pkg.develop(path="{julia_sources()}"); Pkg.add(name="PythonCall", version="0.9.34"); '
         "Pkg.precompile()'"
     )
-
-
-def _variables(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Return the environment variables with which Julia starts."""
-    return {**facts.get("environment", {}), **os.environ}
-
-
-def _settings(variables: Mapping[str, str]) -> dict[str, Any]:
-    """Return the settings with which Julia starts, or was started."""
-    juliacall = sys.modules.get("juliacall")
-    if juliacall is not None and juliacall.CONFIG.get("inited"):
-        threads = juliacall.CONFIG.get("opt_threads") or "1"
-        signals = juliacall.CONFIG.get("opt_handle_signals")
-        signals = signals if isinstance(signals, str) else ("yes" if signals else "no")
-    else:
-        threads = _threads(variables)
-        signals = {**juliacall_settings(variables), **variables}[SIGNALS]
-    offline = variables.get("PYTHON_JULIAPKG_OFFLINE") == "yes" or (
-        variables.get("JULIA_PKG_OFFLINE", "").lower() == "true"
-    )
-    return {"threads": str(threads), "handle_signals": signals, "offline": offline}
-
-
-def _threads(variables: Mapping[str, str]) -> str:
-    """Return the user's choice of threads, as juliacall reads it."""
-    return variables.get(THREADS, variables.get("JULIA_NUM_THREADS", "1"))

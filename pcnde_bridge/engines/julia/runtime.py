@@ -17,16 +17,13 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import Config, PCNDEConfig
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.environment import (
-    EXECUTABLE,
-    PROJECT,
     SIGNALS,
     THREADS,
-    JuliaStatus,
     check_core,
     how_to_prepare,
     julia_status,
-    juliacall_settings,
 )
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 
@@ -72,7 +69,8 @@ class Julia:
         name : str
             The function's name.
         *arguments
-            Arrays, settings, tuples of them, numbers and callables.
+            Arrays, tuples of arrays, settings, numbers and callables, and a grid, which is passed
+            as its points and its period.
         in_place : iterable of arrays
             Float64 and C-ordered; their addresses and shapes are passed last.  The function
             reads and writes them in place, and keeps no reference.
@@ -96,23 +94,26 @@ class Julia:
             )
         try:
             addresses = [number for array in in_place for number in _memory(array)]
-            result = self._function(name)(*map(self._to_julia, arguments), *addresses)
+            given = [converted for value in arguments for converted in self._to_julia(value)]
+            result = self._function(name)(*given, *addresses)
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
             failure = self._failure(error)
         # Raised here, so that it refers to no Julia object, which another thread might release.
         raise failure
 
-    def _to_julia(self, value: Any) -> Any:
+    def _to_julia(self, value: Any) -> tuple[Any, ...]:
         """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value, dtype=np.float64)
-            return self._function("copy_python_array")(*_memory(array))
+            return (self._function("copy_python_array")(*_memory(array)),)
         if isinstance(value, tuple):
-            return tuple(map(self._to_julia, value))
+            return (tuple(each for part in value for each in self._to_julia(part)),)
+        if isinstance(value, Grid):
+            return *self._to_julia(value.z), float(value.period)
         if isinstance(value, Config):
-            return self._config(value)
-        return value
+            return (self._config(value),)
+        return (value,)
 
     def _to_python(self, value: Any) -> Any:
         """Copy arrays: the results own their memory and are no views of Julia's."""
@@ -156,22 +157,18 @@ def _memory(array: Array) -> tuple[int, ...]:
     return array.__array_interface__["data"][0], *reversed(array.shape)
 
 
-class _Process:
-    """Holder of the one Julia of this process."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._julia: Julia | None = None
-
-    def julia(self) -> Julia:
-        with self._lock:
-            if self._julia is None:
-                self._julia = Julia()
-            return self._julia
+_START = threading.Lock()
 
 
-running = _Process().julia
-"""Return the :class:`Julia` of this process, started if necessary."""
+def running() -> Julia:
+    """Return the :class:`Julia` of this process, started if necessary."""
+    with _START:
+        return _julia()
+
+
+@functools.cache
+def _julia() -> Julia:
+    return Julia()
 
 
 def start() -> types.ModuleType:
@@ -183,10 +180,25 @@ def start() -> types.ModuleType:
         If Julia cannot start; the message says what is missing and what to do.
     """
     status = julia_status()
-    if status.source == "running":
-        warn_about_signals(status)
-    else:
-        _prepare(status)
+    is_running = status.source == "running"
+    if not (status.usable or status.installable or is_running):
+        raise EngineUnavailableError(status.message)
+    if status.threads != "1" and status.handle_signals == "no":
+        if not is_running:
+            raise EngineUnavailableError(
+                f"Julia with {status.threads} threads must handle signals, otherwise the process "
+                f"crashes: unset {SIGNALS}, or set {THREADS}=1."
+            )
+        warnings.warn(
+            f"Julia was already started by another package with {status.threads} threads but "
+            "without its signals, and may crash. Create the pcnde_bridge engine first, or set "
+            f"{SIGNALS}=yes.",
+            PCNDEWarning,
+            stacklevel=6,
+        )
+    os.environ.update(status.environment)
+    if status.installable:
+        print("Installing Julia and its packages once; this takes some minutes.", file=sys.stderr)
     try:
         import juliacall
     except Exception as error:
@@ -197,17 +209,6 @@ def start() -> types.ModuleType:
     return juliacall  # type: ignore[no-any-return]
 
 
-_LOAD = """
-import sys
-from pcnde_bridge.engines.julia.runtime import Julia
-from pcnde_bridge.errors import PCNDEError
-try:
-    Julia()
-except PCNDEError as error:
-    sys.exit(f"{error}")
-"""
-
-
 def load_error(timeout: float | None = None) -> str:
     """Start Julia with all packages in a new process; return its error message, empty if none.
 
@@ -216,7 +217,7 @@ def load_error(timeout: float | None = None) -> str:
     timeout : float, optional
         Longest time to wait, s; by default, until everything is compiled.
     """
-    command = [sys.executable, "-c", _LOAD]
+    command = [sys.executable, "-c", f"from {__name__} import running; running()"]
     try:
         done = subprocess.run(command, capture_output=True, check=False, timeout=timeout)
     except subprocess.TimeoutExpired:
@@ -225,35 +226,6 @@ def load_error(timeout: float | None = None) -> str:
         )
     if done.returncode == 0:
         return ""
-    message = done.stderr.decode(errors="replace").strip().splitlines()
-    return message[-1] if message else f"Julia ended with exit code {done.returncode}."
-
-
-def _prepare(status: JuliaStatus) -> None:
-    """Set juliacall's variables, or raise if Julia cannot start."""
-    if not (status.usable or status.installable):
-        raise EngineUnavailableError(status.message)
-    if status.threads != "1" and status.handle_signals == "no":
-        raise EngineUnavailableError(
-            f"Julia with {status.threads} threads must handle signals, otherwise the process "
-            f"crashes: unset {SIGNALS}, or set {THREADS}=1."
-        )
-    variables = {**status.environment, **os.environ}
-    for name, value in {**juliacall_settings(variables), **status.environment}.items():
-        os.environ.setdefault(name, value)
-    if status.installable:
-        print("Installing Julia and its packages once; this takes some minutes.", file=sys.stderr)
-    elif status.source == "file":
-        os.environ[EXECUTABLE], os.environ[PROJECT] = str(status.executable), str(status.project)
-
-
-def warn_about_signals(status: JuliaStatus) -> None:
-    """Warn if another package has started Julia with unsafe settings."""
-    if status.threads != "1" and status.handle_signals == "no":
-        warnings.warn(
-            f"Julia was already started by another package with {status.threads} threads but "
-            "without its signals, and may crash. Create the pcnde_bridge engine first, or set "
-            f"{SIGNALS}=yes.",
-            PCNDEWarning,
-            stacklevel=6,
-        )
+    # The last line of a traceback is the kind of the error and its message.
+    message = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+    return message.rpartition("Error: ")[2] or f"Julia ended with exit code {done.returncode}."

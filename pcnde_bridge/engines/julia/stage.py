@@ -2,58 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
-
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.runtime import Julia
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration, arrays_of
-
-__all__ = ["JuliaStage"]
-
-InputsT = TypeVar("InputsT")
+from pcnde_bridge.engines.protocol import Stage
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, StageInputs
 
 
-class JuliaStage(Generic[InputsT]):
-    """Julia implementation of :class:`pcnde_bridge.engines.protocol.Stage`."""
+class JuliaStage(Stage):
+    """Stage that calls PCNDECore's functions with the stage's name."""
 
     def __init__(self, julia: Julia, name: str) -> None:
         self._julia = julia
         self._name = name
 
-    def solve(self, parameters: Array, inputs: InputsT, grid: Grid, config: PCNDEConfig) -> Array:
+    def solve(
+        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
+    ) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        where = grid.z, float(grid.period)
-        result: Array = self._julia.call(
-            "solve", self._name, parameters, arrays_of(inputs), *where, config
-        )
+        result: Array = self._julia.call("solve", self._name, parameters, inputs, grid, config)
         return result
 
     def loss_and_gradient(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> tuple[float, Array]:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        loss, gradient = self._compare(
-            "loss_and_gradient", parameters, inputs, target, grid, config
-        )
+        problem = self._name, parameters, inputs, target, grid, config
+        loss, gradient = self._julia.call("loss_and_gradient", *problem)
         return float(loss), gradient
 
     def losses(
-        self, parameters: Array, inputs: InputsT, target: Array, grid: Grid, config: PCNDEConfig
+        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        result: Array = self._compare("losses", parameters, inputs, target, grid, config)
+        problem = self._name, parameters, inputs, target, grid, config
+        result: Array = self._julia.call("losses", *problem)
         return result
 
     def objective(
-        self, inputs: InputsT, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
+        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         chosen = weight > 0
-        arrays = tuple(array[chosen] for array in arrays_of(inputs))
-        data = arrays, target[chosen], weight[chosen], grid.z, float(grid.period), config
+        arrays = tuple(array[chosen] for array in inputs)
+        data = self._name, arrays, target[chosen], weight[chosen], grid, config
         identity = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
@@ -61,7 +55,7 @@ class JuliaStage(Generic[InputsT]):
             # another thread.
             if self._julia.problem is not identity:
                 self._julia.problem = None
-                self._julia.call("store_objective", self._name, *data)
+                self._julia.call("store_objective", *data)
                 self._julia.problem = identity
             loss, gradient = self._julia.call("stored_loss_and_gradient", parameters)
             return float(loss), gradient
@@ -71,7 +65,7 @@ class JuliaStage(Generic[InputsT]):
     def fit(
         self,
         parameters: Array,
-        inputs: InputsT,
+        inputs: StageInputs,
         target: Array,
         grid: Grid,
         config: PCNDEConfig,
@@ -87,22 +81,7 @@ class JuliaStage(Generic[InputsT]):
                 if on_iteration is not None:
                     on_iteration(int(number), float(loss))
 
-            problem = parameters, inputs, target, grid, config
-            fitted, losses, converged, message = self._compare(
-                "fit", *problem, iterations, after_iteration
-            )
+            problem = self._name, parameters, inputs, target, grid, config
+            found = self._julia.call("fit", *problem, iterations, after_iteration)
+        fitted, losses, converged, message = found
         return Fit(fitted, losses, bool(converged), str(message))
-
-    def _compare(
-        self,
-        function: str,
-        parameters: Array,
-        inputs: InputsT,
-        target: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-        *more: Any,
-    ) -> Any:
-        """Call a function that compares the stage's result with a target."""
-        data = arrays_of(inputs), target, grid.z, float(grid.period), config
-        return self._julia.call(function, self._name, parameters, *data, *more)
