@@ -132,9 +132,9 @@ def couple(
     wall: jax.Array,
     correction: jax.Array,
     shift: jax.Array,
+    inflow: jax.Array,
     flow: jax.Array,
     flow_slope: jax.Array,
-    inflow: jax.Array,
     period: jax.Array,
     settings: CorrectionClosure,
     tolerance: float | None = None,
@@ -147,10 +147,10 @@ def couple(
         Parameters.
     shift : scalar
         See :func:`~pcnde_bridge.engines.jax.closures.correction.hidden_share`.
-    flow, flow_slope : array of shape (3 + k,) and (k,)
-        :class:`VesselModes` of this case at the outlet.
     inflow : array of shape (time,)
         Q_in, mL/s.
+    flow, flow_slope : array of shape (3 + k,) and (k,)
+        :class:`VesselModes` of this case at the outlet.
     period : scalar
         s.
     settings : CorrectionClosure
