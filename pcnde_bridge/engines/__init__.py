@@ -49,17 +49,15 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
     if name == "julia":
         return julia_engine()
     status = julia_status()
-    reason = status.message
-    if status.usable:
-        try:
-            engine = julia_engine()
-        except EngineUnavailableError as error:
-            reason = str(error)
-        else:
-            _log.info("Using the Julia engine: Julia is usable on this machine.")
-            return engine
-    _log.info("Using the JAX engine: %s", reason)
-    return _jax()
+    try:
+        if not status.usable:
+            raise EngineUnavailableError(status.message)
+        engine = julia_engine()
+    except EngineUnavailableError as error:
+        _log.info("Using the JAX engine: %s", error)
+        return _jax()
+    _log.info("Using the Julia engine: Julia is usable on this machine.")
+    return engine
 
 
 def _jax() -> Engine:

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.parameters import ParameterVectors, network_size
@@ -68,17 +66,11 @@ class ClosureParameters(ParameterVectors):
         return True
 
     def check(self, config: ClosureConfig) -> None:
-        """Raise if a vector's length does not fit the configuration.
+        """Raise if a vector does not fit the configuration, or is not finite.
 
         Raises
         ------
         InputError
-            With the closure, its shape and the necessary length.
+            With the closure, and the actual and the necessary length.
         """
-        for name, needed in sizes(config).items():
-            found = getattr(self, name)
-            if found.shape != (needed,) or not np.isfinite(found).all():
-                raise InputError(
-                    f"The {name} parameters must be {needed} finite numbers for this "
-                    f"configuration, got shape {found.shape}."
-                )
+        self.check_sizes(sizes(config), "this configuration")

@@ -18,7 +18,7 @@ and Q at all points.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, Self, TypeVar
@@ -59,13 +59,12 @@ def layer_sizes(stage: str, config: PCNDEConfig, n_times: int, n_points: int) ->
 
 def sizes(config: PCNDEConfig, n_times: int, n_points: int) -> dict[str, int]:
     """Return the length of every stage's parameter vector."""
+    shape = config, n_times, n_points
     return {
-        "flow": network_size(layer_sizes("flow", config, n_times, n_points)),
+        "flow": network_size(layer_sizes("flow", *shape)),
         "intermediate_area": 2 * n_points,
         "fourier_area": 2 * n_points,
-        "temporal_pressure": network_size(
-            layer_sizes("temporal_pressure", config, n_times, n_points)
-        ),
+        "temporal_pressure": network_size(layer_sizes("temporal_pressure", *shape)),
         "spatial_pressure": 2 + 2 * n_times,
     }
 
@@ -102,6 +101,11 @@ class ParameterVectors:
         for field in fields(self):
             vector = np.array(getattr(self, field.name), dtype=np.float64)
             vector.flags.writeable = False
+            if vector.ndim != 1:
+                raise InputError(
+                    f"The {field.name} parameters must be one flat vector, got shape "
+                    f"{vector.shape}."
+                )
             object.__setattr__(self, field.name, vector)
 
     def __iter__(self) -> Iterator[tuple[str, Array]]:
@@ -110,6 +114,26 @@ class ParameterVectors:
     def replace(self, **vectors: Array) -> Self:
         """Return a copy with some vectors changed."""
         return type(self)(**{**dict(self), **vectors})
+
+    def check_sizes(
+        self, sizes: Mapping[str, int], needed_for: str, optional: Sequence[str] = ()
+    ) -> None:
+        """Raise unless every vector is finite and has the given length, or is optional and empty.
+
+        Raises
+        ------
+        InputError
+            With the vector's name, and the actual and the necessary length.
+        """
+        for name, needed in sizes.items():
+            vector = getattr(self, name)
+            if not np.isfinite(vector).all():
+                raise InputError(f"The {name} parameters are not all finite.")
+            if vector.size != needed and (vector.size or name not in optional):
+                raise InputError(
+                    f"The {name} parameters have {vector.size} numbers, but {needed} are needed "
+                    f"for {needed_for}."
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,14 +151,6 @@ class Parameters(ParameterVectors):
     fourier_area: Array
     temporal_pressure: Array
     spatial_pressure: Array
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for stage, vector in self:
-            if vector.ndim != 1:
-                raise InputError(
-                    f"The {stage} parameters must be one flat vector, got shape {vector.shape}."
-                )
 
     @property
     def has_pressure(self) -> bool:
@@ -163,16 +179,8 @@ class Parameters(ParameterVectors):
         InputError
             With the stage, and the actual and the necessary length.
         """
-        for stage, needed in sizes(config, n_times, n_points).items():
-            vector = getattr(self, stage)
-            if not np.isfinite(vector).all():
-                raise InputError(f"The {stage} parameters are not all finite.")
-            found = vector.size
-            if found != needed and not (found == 0 and stage in PRESSURE_STAGES):
-                raise InputError(
-                    f"The {stage} parameters have {found} numbers, but {needed} are needed for "
-                    f"{n_times} time points, {n_points} points in z and this configuration."
-                )
+        where = f"{n_times} time points, {n_points} points in z and this configuration"
+        self.check_sizes(sizes(config, n_times, n_points), where, optional=PRESSURE_STAGES)
 
 
 def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: int) -> Parameters:
@@ -191,7 +199,7 @@ def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: i
     seed : int
         Random seed of the networks' weights; each stage has its own stream.
     """
-    correction = np.concatenate([np.ones(n_points), np.zeros(n_points)])
+    correction = np.repeat([1.0, 0.0], n_points)
 
     def network(stage: str) -> Array:
         rng = np.random.default_rng([seed, STAGES.index(stage), 0])

@@ -51,13 +51,11 @@ def solve_area(
     config: PCNDEConfig,
 ) -> Array:
     """Solve both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
-    intermediate = engine.intermediate_area.solve(
-        parameters.intermediate_area, IntermediateAreaInputs(flow, area_undeformed), grid, config
-    )
+    inputs, settings = IntermediateAreaInputs(flow, area_undeformed), (grid, config)
+    intermediate = engine.intermediate_area.solve(parameters.intermediate_area, inputs, *settings)
     start = initial_area(intermediate, flow.shape[1], config)
-    return engine.fourier_area.solve(
-        parameters.fourier_area, FourierAreaInputs(flow, start), grid, config
-    )
+    anchored = FourierAreaInputs(flow, start)
+    return engine.fourier_area.solve(parameters.fourier_area, anchored, *settings)
 
 
 def predict_by_stages(
@@ -83,22 +81,14 @@ def predict_by_stages(
     grid, config
         Grid and settings of the model.
     """
-    area = undeformed(area_undeformed, inflow.shape[1])
+    area, settings = undeformed(area_undeformed, inflow.shape[1]), (grid, config)
     for _ in range(config.coupling_passes):
-        flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), grid, config)
-        area = solve_area(engine, parameters, flow, area_undeformed, grid, config)
+        flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), *settings)
+        area = solve_area(engine, parameters, flow, area_undeformed, *settings)
     if not parameters.has_pressure:
-        return Solution(flow, area, None)
-    temporal = engine.temporal_pressure.solve(
-        parameters.temporal_pressure,
-        TemporalPressureInputs(flow, area, area_undeformed),
-        grid,
-        config,
-    )
-    relative = engine.spatial_pressure.solve(
-        parameters.spatial_pressure,
-        SpatialPressureInputs(temporal, flow, area_undeformed),
-        grid,
-        config,
-    )
+        return Solution(flow, area)
+    for_network = TemporalPressureInputs(flow, area, area_undeformed)
+    temporal = engine.temporal_pressure.solve(parameters.temporal_pressure, for_network, *settings)
+    inputs = SpatialPressureInputs(temporal, flow, area_undeformed)
+    relative = engine.spatial_pressure.solve(parameters.spatial_pressure, inputs, *settings)
     return Solution(flow, area, relative * config.physics.reference_pressure)

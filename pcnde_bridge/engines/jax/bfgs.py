@@ -125,9 +125,8 @@ class _InverseHessian:
             weights.append(rho * (change @ result))
             result -= weights[-1] * gradient_change
         result *= self._scale
-        for (change, gradient_change, rho), weight in zip(
-            self._pairs, reversed(weights), strict=True
-        ):
+        pairs = zip(self._pairs, reversed(weights), strict=True)
+        for (change, gradient_change, rho), weight in pairs:
             result += (weight - rho * (gradient_change @ result)) * change
         return result
 
@@ -141,32 +140,29 @@ def _line_search(
     settings: BFGS,
 ) -> Array | None:
     """Return the step from x, or None if no step decreases the loss enough."""
-    direction = -(inverse_hessian @ gradient)
-    if not gradient @ direction < 0:
-        inverse_hessian.reset(gradient)
-        direction = -gradient
-    length = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
-    if length is None:
+
+    def search(direction: Array) -> Array | None:
+        slope = float(gradient @ direction)
+        if not slope < 0:
+            return None
+        length = _backtrack(lambda step: value(x + step * direction), loss, slope, settings)
+        return None if length is None else length * direction
+
+    step = search(-(inverse_hessian @ gradient))
+    if step is None:
         # Optim.jl discards the curvature and tries steepest descent once.
         inverse_hessian.reset(gradient)
-        direction = -gradient
-        length = _backtrack(value, x, direction, loss, float(gradient @ direction), settings)
-    return None if length is None else length * direction
+        step = search(-gradient)
+    return step
 
 
 def _backtrack(
-    value: Callable[[Array], float],
-    x: Array,
-    direction: Array,
-    loss: float,
-    slope: float,
-    settings: BFGS,
+    at: Callable[[float], float], loss: float, slope: float, settings: BFGS
 ) -> float | None:
-    """Return the length of a step that decreases the loss enough (cubic interpolation)."""
+    """Return the length of a step that decreases the loss enough (cubic interpolation).
 
-    def at(step: float) -> float:
-        return value(x + step * direction)
-
+    ``at`` is the loss after a step of a given length, ``slope`` its derivative at the start.
+    """
     before, step = 1.0, 1.0
     loss_before, loss_at = loss, at(step)
     # Where a solve diverges the loss is not finite: halve the step until it is, up to machine

@@ -36,17 +36,7 @@ class PIController(diffrax.AbstractStepSizeController[Any, Any]):
         """Return the controller for an integration in the given direction."""
         return self
 
-    def init(
-        self,
-        terms: Any,
-        t0: Any,
-        t1: Any,
-        y0: Any,
-        dt0: Any,
-        args: Any,
-        func: Any,
-        error_order: Any,
-    ) -> tuple[Any, Any]:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, dt0: Any, *_: Any) -> tuple[Any, Any]:
         """Return the end of the first step, and the error assumed before it."""
         return t0 + dt0, jnp.asarray(_FIRST_ERROR)
 
