@@ -16,7 +16,6 @@ from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
 
 
-
 def random_batches(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positions, ...]:
     """Return the positions of the cases in every batch, at random; the last may be smaller."""
     order = np.random.default_rng(seed).permutation(len(cases))
