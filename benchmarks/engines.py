@@ -26,6 +26,7 @@ from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
+    ModelInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
@@ -153,7 +154,9 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
         subset = train.select(slice(0, count))
 
         def run() -> None:
-            engine.predict(parameters, subset.inflow, subset.area_undeformed, grid, PAPER)
+            engine.predict(
+                parameters, ModelInputs(subset.inflow, subset.area_undeformed, grid), PAPER
+            )
 
         return run
 

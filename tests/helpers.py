@@ -19,7 +19,7 @@ from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.julia.environment import JuliaStatus, julia_status
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import Fit
+from pcnde_bridge.engines.types import Fit, ModelInputs
 from pcnde_bridge.model.pcnde import PCNDE
 
 
@@ -82,7 +82,8 @@ INFLOW, AREA = waveforms()[WAVEFORM], VESSELS[GEOMETRY]
 
 def solve(parameters=PASSIVE, inflow=INFLOW, area=AREA, grid=GRID, config=CONFIG):
     closures = select_engine("jax").closures
-    return closures.predict(parameters, np.zeros(len(inflow)), inflow, area, grid, config)
+    inputs = ModelInputs(inflow, area, grid)
+    return closures.predict(parameters, np.zeros(len(inflow)), inputs, config)
 
 
 def as_cases(solution):

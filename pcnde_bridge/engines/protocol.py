@@ -19,7 +19,15 @@ from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration, Problem, Solution, StageInputs
+from pcnde_bridge.engines.types import (
+    Fit,
+    ModelInputs,
+    Objective,
+    OnIteration,
+    Problem,
+    Solution,
+    StageInputs,
+)
 
 
 class Stage(Protocol):
@@ -142,10 +150,8 @@ class Closures(Protocol):
     def flow(
         self,
         others: ClosureParameters,
-        inflow: Array,
-        area_undeformed: Array,
+        inputs: ModelInputs,
         points: npt.NDArray[np.int64],
-        grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
         """Prepare the flow of all coupled closures.
@@ -167,9 +173,7 @@ class Closures(Protocol):
         self,
         parameters: ClosureParameters,
         shift: Array,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
+        inputs: ModelInputs,
         config: ClosureConfig,
     ) -> Solution:
         """Predict flow, area and pressure.
@@ -242,14 +246,7 @@ class Engine(ABC):
         """
 
     @abstractmethod
-    def predict(
-        self,
-        parameters: Parameters,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-    ) -> Solution:
+    def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:
         """Run all coupling passes and the pressure stages, independently for every case.
 
         The result is that of :func:`pcnde_bridge.engines.staged.predict_by_stages`.
@@ -258,10 +255,6 @@ class Engine(ABC):
         ----------
         parameters : Parameters
             Parameters of a trained model.
-        inflow : array of shape (case, time)
-            Q_in, mL/s.
-        area_undeformed : array of shape (case, z)
-            S_u, cm².
 
         Raises
         ------

@@ -13,6 +13,7 @@ from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
+    ModelInputs,
     Solution,
     SpatialPressureInputs,
     TemporalPressureInputs,
@@ -59,12 +60,7 @@ def solve_area(
 
 
 def predict_by_stages(
-    engine: Engine,
-    parameters: Parameters,
-    inflow: Array,
-    area_undeformed: Array,
-    grid: Grid,
-    config: PCNDEConfig,
+    engine: Engine, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig
 ) -> Solution:
     """Predict with the engine's stages, one after the other.
 
@@ -74,13 +70,12 @@ def predict_by_stages(
         Compute engine.
     parameters : Parameters
         Parameters of a trained model.
-    inflow : array of shape (case, time)
-        Q_in, mL/s.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    grid, config
-        Grid and settings of the model.
+    inputs : ModelInputs
+        Inflow, vessels and grid.
+    config : PCNDEConfig
+        Settings of the model.
     """
+    inflow, area_undeformed, grid = inputs
     area, settings = undeformed(area_undeformed, inflow.shape[1]), (grid, config)
     for _ in range(config.coupling_passes):
         flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), *settings)
@@ -89,6 +84,6 @@ def predict_by_stages(
         return Solution(flow, area)
     for_network = TemporalPressureInputs(flow, area, area_undeformed)
     temporal = engine.temporal_pressure.solve(parameters.temporal_pressure, for_network, *settings)
-    inputs = SpatialPressureInputs(temporal, flow, area_undeformed)
-    relative = engine.spatial_pressure.solve(parameters.spatial_pressure, inputs, *settings)
+    in_space = SpatialPressureInputs(temporal, flow, area_undeformed)
+    relative = engine.spatial_pressure.solve(parameters.spatial_pressure, in_space, *settings)
     return Solution(flow, area, relative * config.physics.reference_pressure)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge.data.grid import Grid
 
 OnIteration = Callable[[int, float], None]
 """Callback with an iteration's number, from 1, and its loss; it may raise to stop."""
@@ -116,6 +117,24 @@ class SpatialPressureInputs(NamedTuple):
     temporal: Array
     flow: Array
     area_undeformed: Array
+
+
+class ModelInputs(NamedTuple):
+    """Inputs of a whole model.
+
+    Attributes
+    ----------
+    inflow : array of shape (case, time)
+        Q_in, mL/s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    grid : Grid
+        Grid of inputs and results.
+    """
+
+    inflow: Array
+    area_undeformed: Array
+    grid: Grid
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pcnde_bridge.data.grid import Grid, check_grid, check_resolution
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.procedure import Procedure
@@ -91,15 +91,15 @@ class Kind:
 def _predict_staged(
     engine: Engine, config: Any, parameters: Any, inputs: Inputs, _: Uncertainty | None = None
 ) -> tuple[Solution, None]:
-    arrays = inputs.inflow, inputs.area_undeformed, inputs.grid
-    return engine.predict(parameters, *arrays, config), None
+    given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)
+    return engine.predict(parameters, given, config), None
 
 
 def _predict_closures(
     engine: Engine, config: Any, parameters: Any, inputs: Inputs, spread: Uncertainty | None = None
 ) -> tuple[Solution, Samples | None]:
-    given = inputs.inflow, inputs.area_undeformed, inputs.grid
-    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), *given, config)
+    given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)
+    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), given, config)
     if spread is None or inputs.random is None:
         return mean, None
     model = SampledModel(engine.closures, parameters, config)

@@ -20,6 +20,7 @@ from pcnde_bridge.config import Activation, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.parameters import PRESSURE_STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
@@ -115,8 +116,8 @@ def _fit_and_measure(
     fitted = fit_pressure(engine, config, parameters, seed, sets["train"])
     row = {}
     for name, cases in sets.items():
-        inputs = (cases.inflow, cases.area_undeformed, cases.grid)
-        pressure = engine.predict(fitted, *inputs, config).pressure
+        inputs = ModelInputs(cases.inflow, cases.area_undeformed, cases.grid)
+        pressure = engine.predict(fitted, inputs, config).pressure
         assert pressure is not None
         row[name] = relative_error(pressure, cases.pressure)
         row[f"{name}_explained"] = explained_variance(pressure, cases.pressure)

@@ -19,7 +19,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
-from pcnde_bridge.engines.types import Fit, OnIteration, Problem
+from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
 
 _WALL_TIMES = 25
@@ -219,7 +219,8 @@ def fit_correction(
     points = np.unique(np.linspace(0, cases.n_points - 1, _FLOW_POINTS + 1).astype(int)[1:])
     target = cases.flow[:, :, points]
     factor = 100 * weight[:, None, None] / np.linalg.norm(weight[:, None, None] * target)
-    problem = closures.flow(others, cases.inflow, cases.area_undeformed, points, cases.grid, config)
+    inputs = ModelInputs(cases.inflow, cases.area_undeformed, cases.grid)
+    problem = closures.flow(others, inputs, points, config)
     # The weights decay towards a correction that is off.
     n_weights, decay = first.size - CORRECTION_SCALARS, np.sqrt(settings.weight_decay)
     prior = decay * np.eye(n_weights, first.size, CORRECTION_SCALARS)

@@ -17,7 +17,12 @@ from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.engines.parameters import STAGES, Parameters, initial_parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages, solve_area, undeformed
-from pcnde_bridge.engines.types import FlowInputs, SpatialPressureInputs, TemporalPressureInputs
+from pcnde_bridge.engines.types import (
+    FlowInputs,
+    ModelInputs,
+    SpatialPressureInputs,
+    TemporalPressureInputs,
+)
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training.area_fit import FitStage, fit_area
 from pcnde_bridge.training.history import Recorder, RunFit
@@ -159,7 +164,7 @@ class StagedTraining(Procedure[TrainingState]):
         target = cases.pressure / config.physics.reference_pressure
         s_u = cases.area_undeformed
         known = parameters.without_pressure()
-        solved = predict_by_stages(self.engine, known, cases.inflow, s_u, grid, config)
+        solved = predict_by_stages(self.engine, known, ModelInputs(cases.inflow, s_u, grid), config)
         inputs = TemporalPressureInputs(solved.flow, solved.area, s_u)
         if stage == "temporal_pressure":
             return parameters.replace(temporal_pressure=fit(stage, inputs, target))

@@ -25,21 +25,17 @@ from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _CALIBRATION_SAMPLES = 12
 _NEGLIGIBLE = 1e-12
-
-GivenInputs = tuple[Array, Array, Grid]
-"""Q_in (case, time), mL/s, S_u (case, z), cm², and their grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +133,12 @@ class SampledModel(NamedTuple):
     parameters: ClosureParameters
     config: ClosureConfig
 
-    def predict(self, correction: Array, shift: Array, inputs: GivenInputs) -> dict[str, Array]:
+    def predict(self, correction: Array, shift: Array, inputs: ModelInputs) -> dict[str, Array]:
         """Predict flow, area and pressure (sample, case, time, z) with shifts (sample, case)."""
         parameters, (inflow, area, grid) = self.parameters.replace(correction=correction), inputs
-        inflow, area = (np.tile(array, (len(shift), 1)) for array in (inflow, area))
-        found = self.closures.predict(parameters, shift.ravel(), inflow, area, grid, self.config)
+        times = len(shift), 1
+        repeated = ModelInputs(np.tile(inflow, times), np.tile(area, times), grid)
+        found = self.closures.predict(parameters, shift.ravel(), repeated, self.config)
         shape = *shift.shape, grid.time.size, grid.z.size
         return {name: getattr(found, name).reshape(shape) for name in VARIABLES}
 
@@ -173,7 +170,7 @@ def calibrate(
     spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
     for member, fold in zip(members, left_out, strict=True):
         truth = cases.select(fold)
-        inputs = truth.inflow, truth.area_undeformed, truth.grid
+        inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
         plain = model.predict(member, np.zeros((1, len(truth))), inputs)
         errors.append(np.abs([plain[name][0] - getattr(truth, name) for name in VARIABLES]))
         spreads.append([np.zeros_like(errors[-1])])
@@ -197,7 +194,7 @@ def sample(
     model: SampledModel,
     uncertainty: Uncertainty,
     mean: Solution,
-    inputs: GivenInputs,
+    inputs: ModelInputs,
     numbers: RandomNumbers,
 ) -> dict[str, Array]:
     """Compute samples of predictions.
@@ -210,8 +207,8 @@ def sample(
         Distribution of the samples.
     mean : Solution
         Prediction without random numbers, shape (case, time, z).
-    inputs : tuple of inflow, area_undeformed and grid
-        Q_in (case, time), mL/s, S_u (case, z), cm², and their grid.
+    inputs : ModelInputs
+        Inflow, vessels and grid.
     numbers : RandomNumbers
         Random numbers of all samples.
 
@@ -238,11 +235,11 @@ def sample(
         except SolveError as error:
             raise SolveError(
                 "The prediction has been computed, but not all of its samples. Of these, each "
-                f"with {counted(len(inputs[0]), 'case')}, one after the other: {error}"
+                f"with {counted(len(inputs.inflow), 'case')}, one after the other: {error}"
             ) from error
         for name, values in samples.items():
             found[name][rows] = values
-    calibration, z = uncertainty.calibration, inputs[2].z
+    calibration, z = uncertainty.calibration, inputs.grid.z
     for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=True):
         center = getattr(mean, name)
         found[name] -= center

@@ -19,6 +19,7 @@ from helpers import (
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.julia.engine import JuliaEngine
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import SolveError
 
 pytestmark = [
@@ -44,7 +45,7 @@ def inflow():
 
 @pytest.fixture(scope="module")
 def solution(both, inflow):
-    return both[1].predict(CORRECTED, np.zeros(16), inflow, AREA, GRID, CONFIG)
+    return both[1].predict(CORRECTED, np.zeros(16), ModelInputs(inflow, AREA, GRID), CONFIG)
 
 
 def assert_same(found, expected):
@@ -76,7 +77,7 @@ def test_walls(both, solution, config, parameters):
 @pytest.mark.parametrize("others", [CORRECTED, WINDKESSEL])
 def test_flow_of_all_coupled(both, inflow, others):
     points = np.array([8, 20, 40])
-    problems = [c.flow(others, inflow, AREA, points, GRID, CONFIG) for c in both]
+    problems = [c.flow(others, ModelInputs(inflow, AREA, GRID), points, CONFIG) for c in both]
     assert_same_problems(problems, ON)
 
 
@@ -85,12 +86,16 @@ def test_predictions(both, inflow, solution):
     # All harmonics, Nyquist's too.
     inflow = inflow + 0.05 * np.random.default_rng(7).normal(size=inflow.shape)
     for parameters in (CORRECTED, WINDKESSEL):
-        found, expected = (c.predict(parameters, shift, inflow, AREA, GRID, CONFIG) for c in both)
+        found, expected = (
+            c.predict(parameters, shift, ModelInputs(inflow, AREA, GRID), CONFIG) for c in both
+        )
         for mine, theirs in zip(found, expected, strict=True):
             assert_same(mine, theirs)
     # A case does not depend on those beside it, to the bit.
-    alone = both[0].predict(CORRECTED, shift[4:5], inflow[4:5], AREA[4:5], GRID, CONFIG)
-    together = both[0].predict(CORRECTED, shift, inflow, AREA, GRID, CONFIG)
+    alone = both[0].predict(
+        CORRECTED, shift[4:5], ModelInputs(inflow[4:5], AREA[4:5], GRID), CONFIG
+    )
+    together = both[0].predict(CORRECTED, shift, ModelInputs(inflow, AREA, GRID), CONFIG)
     for one, all_ in zip(alone, together, strict=True):
         np.testing.assert_array_equal(one[0], all_[4])
 
@@ -99,7 +104,7 @@ def test_an_odd_number_of_time_points(both):
     time = 0.8 * np.arange(25) / 25
     grid = Grid(time, GRID.z, 0.8)
     found, expected = (
-        c.predict(CORRECTED, np.zeros(4), waveforms(time / 0.8), VESSELS, grid, CONFIG)
+        c.predict(CORRECTED, np.zeros(4), ModelInputs(waveforms(time / 0.8), VESSELS, grid), CONFIG)
         for c in both
     )
     for mine, theirs in zip(found, expected, strict=True):
@@ -112,6 +117,6 @@ def test_what_does_not_settle_is_the_same_error(both):
     words = []
     for closures in both:
         with pytest.raises(SolveError, match="case 9 do not settle") as caught:
-            closures.predict(CORRECTED, np.zeros(16), inflow, AREA, GRID, CONFIG)
+            closures.predict(CORRECTED, np.zeros(16), ModelInputs(inflow, AREA, GRID), CONFIG)
         words.append(str(caught.value))
     assert words[0] == words[1]

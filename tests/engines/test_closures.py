@@ -44,6 +44,7 @@ from pcnde_bridge.engines.jax.closures import (
     pressure_losses as losses,
 )
 from pcnde_bridge.engines.jax.closures.engine import JaxClosures
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError, SolveError
 
 
@@ -477,7 +478,7 @@ def test_passes_end_at_the_answer_of_many_more(outlet):
     # Passes that do not end when settled, as the fit makes them.
     points, many = np.arange(41), CONFIG.replace(correction={"passes": 40})
     closures = select_engine("jax").closures
-    problem = closures.flow(parameters, INFLOW, AREA, points, GRID, many)
+    problem = closures.flow(parameters, ModelInputs(INFLOW, AREA, GRID), points, many)
     expected, _ = problem(parameters.correction)
     assert np.abs(found.flow - expected).max() < 1e-9 * INFLOW.max()
 

@@ -14,6 +14,7 @@ from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
+    ModelInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
@@ -172,15 +173,16 @@ def test_whole_models_agree(engines, config, small_cases, problem):
     config = config.replace(flow=TIGHT)
     parameters = some_parameters(config, small_cases)
     julia, jax = (
-        e.predict(parameters, small_cases.inflow, small_cases.area_undeformed, grid, config)
+        e.predict(
+            parameters, ModelInputs(small_cases.inflow, small_cases.area_undeformed, grid), config
+        )
         for e in engines
     )
     for by_julia, by_jax in zip(julia, jax, strict=True):
         assert np.linalg.norm(by_julia - by_jax) < 1e-8 * np.linalg.norm(by_jax)
     without = parameters.replace(temporal_pressure=np.empty(0), spatial_pressure=np.empty(0))
-    flow, _, pressure = engines[0].predict(
-        without, small_cases.inflow, small_cases.area_undeformed, grid, config
-    )
+    inputs = ModelInputs(small_cases.inflow, small_cases.area_undeformed, grid)
+    flow, _, pressure = engines[0].predict(without, inputs, config)
     assert pressure is None
     np.testing.assert_array_equal(flow, julia.flow)
 
@@ -215,7 +217,9 @@ def test_published_weights_give_the_published_errors(engines, published_weights,
     config = PUBLISHED_CODE.replace(flow={"rtol": 1e-6, "atol": 1e-9})
     grid = cases.grid
     by_julia, by_jax = (
-        engine.predict(published_weights, cases.inflow, cases.area_undeformed, grid, config)
+        engine.predict(
+            published_weights, ModelInputs(cases.inflow, cases.area_undeformed, grid), config
+        )
         for engine in engines
     )
     inside = np.s_[:, :, 5:-5]
@@ -259,7 +263,7 @@ def test_published_weights_predict_the_same(
         temporal_pressure=some.temporal_pressure, spatial_pressure=some.spatial_pressure
     )
     by_julia, by_jax = (
-        engine.predict(weights, cases.inflow, cases.area_undeformed, grid, config)
+        engine.predict(weights, ModelInputs(cases.inflow, cases.area_undeformed, grid), config)
         for engine in engines
     )
     for name in ("flow", "area", "pressure"):

@@ -20,6 +20,7 @@ from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
+    ModelInputs,
     SpatialPressureInputs,
     TemporalPressureInputs,
 )
@@ -347,7 +348,8 @@ def test_predict_is_the_five_stages_in_their_order(engine, grid, parameters, sma
     # Round-off in the choice of steps shows up to the accuracy of the solve, which the
     # kinks of S between the points limit to about 1e-8 in each pass.
     config = PUBLISHED_CODE.replace(fourier_area={"anchor": anchor}, flow=TIGHT.flow.to_dict())
-    given = (parameters, small_cases.inflow, small_cases.area_undeformed, grid, config)
+    inputs = ModelInputs(small_cases.inflow, small_cases.area_undeformed, grid)
+    given = parameters, inputs, config
     for fused, staged in zip(
         engine.predict(*given), predict_by_stages(engine, *given), strict=True
     ):
@@ -356,7 +358,7 @@ def test_predict_is_the_five_stages_in_their_order(engine, grid, parameters, sma
 
 def test_predict_without_pressure_stages(engine, grid, parameters, small_cases):
     config = PUBLISHED_CODE.replace(flow={"steps": 12})
-    given = (small_cases.inflow, small_cases.area_undeformed, grid, config)
+    given = ModelInputs(small_cases.inflow, small_cases.area_undeformed, grid), config
     whole = engine.predict(parameters, *given)
     bare = engine.predict(parameters.without_pressure(), *given)
     assert bare.pressure is None
@@ -376,6 +378,6 @@ def test_the_last_layer_may_have_another_width_than_the_first(engine, grid, smal
 
 @pytest.mark.parametrize("count", [3, 8])
 def test_a_prediction_can_be_written_to(engine, grid, parameters, small_cases, count):
-    inputs = small_cases.inflow[:count], small_cases.area_undeformed[:count]
-    solution = engine.predict(parameters, *inputs, grid, EQUAL)
+    inputs = ModelInputs(small_cases.inflow[:count], small_cases.area_undeformed[:count], grid)
+    solution = engine.predict(parameters, inputs, EQUAL)
     assert all(values.flags.writeable for values in solution)

@@ -34,7 +34,7 @@ from pcnde_bridge.engines.julia.environment import (
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import FlowInputs, FourierAreaInputs
+from pcnde_bridge.engines.types import FlowInputs, FourierAreaInputs, ModelInputs
 from pcnde_bridge.errors import (
     EngineError,
     EngineUnavailableError,
@@ -568,7 +568,8 @@ def test_two_threads_give_the_same_beside_pythons_threads(
 ):
     cases = small_cases
     parameters = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0)
-    inputs = (cases.inflow, cases.area_undeformed, *flow_problem[3:])
+    grid, config = flow_problem[3:]
+    inputs = ModelInputs(cases.inflow, cases.area_undeformed, grid), config
     done = run(
         _THREADED,
         input=pickle.dumps((inputs, parameters)),

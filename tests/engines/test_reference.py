@@ -15,6 +15,7 @@ from pcnde_bridge.engines.types import (
     FlowInputs,
     FourierAreaInputs,
     IntermediateAreaInputs,
+    ModelInputs,
     SpatialPressureInputs,
     TemporalFlowInputs,
     TemporalPressureInputs,
@@ -117,9 +118,8 @@ def test_temporal_flow(engine, paper, paper_grid):
 )
 def test_model_of_all_stages(engine, paper, paper_grid, config, tolerance):
     parameters = Parameters(**{stage: paper[f"parameters_{stage}"] for stage in STAGES})
-    found = engine.predict(
-        parameters, paper["inflow"], paper["area_undeformed"], paper_grid, config
-    )
+    inputs = ModelInputs(paper["inflow"], paper["area_undeformed"], paper_grid)
+    found = engine.predict(parameters, inputs, config)
     for name in ("flow", "area", "pressure"):
         assert_near(getattr(found, name), paper[f"model_{name}"], tolerance)
 
@@ -204,9 +204,8 @@ def test_coupled_prediction(engine, closures, name, factor, tolerance, of_change
         closures["parameters_correction"],
     )
     inflow, undeformed = closures["inflow"], closures["area_undeformed"]
-    found = engine.closures.predict(
-        parameters, closures["shift"], inflow, undeformed, closure_grid(closures), MEMBRANE
-    )
+    inputs = ModelInputs(inflow, undeformed, closure_grid(closures))
+    found = engine.closures.predict(parameters, closures["shift"], inputs, MEMBRANE)
     for quantity in ("flow", "area", "pressure"):
         assert_near(getattr(found, quantity), closures[f"{name}_{quantity}"], tolerance)
     stored = closures[f"{name}_flow"] - inflow[:, :, None]

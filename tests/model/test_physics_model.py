@@ -32,6 +32,7 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.parameters import initial_parameters
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import FileError, SolveError
 from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
@@ -349,8 +350,8 @@ def test_a_failed_sample_is_distinguished_from_a_failed_prediction(model, cases)
         raise SolveError("case 5 does not settle")
 
     failing = SimpleNamespace(predict=draws_fail)
-    inputs = INFLOW[:2], AREA[:2], model.grid
-    mean = model.engine.closures.predict(model.parameters, np.zeros(2), *inputs, model.config)
+    inputs = ModelInputs(INFLOW[:2], AREA[:2], model.grid)
+    mean = model.engine.closures.predict(model.parameters, np.zeros(2), inputs, model.config)
     failing_model = SampledModel(failing, model.parameters, model.config)
     numbers = RandomNumbers.generate(model.uncertainty, 8, 2, np.random.default_rng(0))
     with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):

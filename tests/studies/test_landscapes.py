@@ -11,7 +11,7 @@ from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import FlowInputs
+from pcnde_bridge.engines.types import FlowInputs, ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.studies import explore_landscapes
@@ -293,7 +293,9 @@ class TestEnginesAgree:
             fourier_area=1e-3 * first.fourier_area,
         )
         julia, jax = (
-            e.predict(given, gentle(inputs).inflow, cases.area_undeformed, grid, config)
+            e.predict(
+                given, ModelInputs(gentle(inputs).inflow, cases.area_undeformed, grid), config
+            )
             for e in both
         )
         assert relative_error(julia.flow, jax.flow) < 1e-10

@@ -22,6 +22,7 @@ from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import predict_by_stages, undeformed
 from pcnde_bridge.engines.types import (
     FlowInputs,
+    ModelInputs,
 )
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.predictor import predict
@@ -151,7 +152,7 @@ def test_a_whole_fit(engine, small_cases, grid, tmp_path):
     for variable in ("flow", "area", "pressure"):
         assert errors[variable] < 0.5 * at_start[variable]
     by_stages = predict_by_stages(
-        engine, model.parameters, cases.inflow, cases.area_undeformed, grid, LITTLE
+        engine, model.parameters, ModelInputs(cases.inflow, cases.area_undeformed, grid), LITTLE
     )
     predicted = model.predict(cases)
     assert np.allclose(predicted.flow, by_stages.flow, rtol=1e-9)

@@ -13,7 +13,7 @@ from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.uncertainty.calibration import Calibration
 from pcnde_bridge.uncertainty.sampling import (
     RandomNumbers,
@@ -42,8 +42,9 @@ class ByHand:
         self.amount, self.response = np.broadcast_arrays(amount, response)
         self.shifts = []
 
-    def predict(self, parameters, shift, inflow, area_undeformed, grid, config):
+    def predict(self, parameters, shift, inputs, config):
         self.shifts.append(shift)
+        inflow = inputs.inflow
         case = np.rint(inflow[:, 0]).astype(int) - 1
         error = self.amount[case] * parameters.correction[0] + self.response[case] * shift
         error = np.multiply.outer(error, np.ones((4, 1)) * ALONG)
@@ -101,7 +102,7 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
     )
     mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
     numbers = RandomNumbers.generate(uncertainty, samples, len(amount), np.random.default_rng(0))
-    inputs = inflow, area, Grid(GRID.time, z, 1.0)
+    inputs = ModelInputs(inflow, area, Grid(GRID.time, z, 1.0))
     model = SampledModel(engine, PARAMETERS, PHYSICS)
     found = sample(model, uncertainty, mean, inputs, numbers)
     off = [(found[n] - getattr(mean, n)) / u for n, u in zip(VARIABLES, UNITS, strict=True)]

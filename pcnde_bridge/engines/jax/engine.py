@@ -10,10 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax import (
     area,
     flow,
@@ -36,7 +34,7 @@ from pcnde_bridge.engines.jax.stage import (
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 
 
 def _flow(
@@ -83,21 +81,15 @@ class JaxEngine(Engine):
         """Pickle as a name: compiled functions cannot be pickled."""
         return jax_engine, ()
 
-    def predict(
-        self,
-        parameters: Parameters,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-    ) -> Solution:
+    def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Engine`."""
         if config.flow.terms:
-            return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
+            return predict_by_stages(self, parameters, inputs, config)
+        *arrays, grid = inputs
         with double_precision():
             vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
             predict = partial(fused_predict.predict, vectors, grid=on_device(grid), config=config)
-            predicted = in_batches(predict, (inflow, area_undeformed))
+            predicted = in_batches(predict, tuple(arrays))
         return Solution(*predicted)
 
 

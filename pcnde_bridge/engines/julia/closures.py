@@ -14,7 +14,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.types import Problem, Solution
+from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
 
 
 class JuliaClosures(Closures):
@@ -45,13 +45,12 @@ class JuliaClosures(Closures):
     def flow(
         self,
         others: ClosureParameters,
-        inflow: Array,
-        area_undeformed: Array,
+        inputs: ModelInputs,
         points: npt.NDArray[np.int64],
-        grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        inflow, area_undeformed, grid = inputs
         fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, points
         return self._problem("flow", fixed, grid, config)
 
@@ -59,17 +58,16 @@ class JuliaClosures(Closures):
         self,
         parameters: ClosureParameters,
         shift: Array,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
+        inputs: ModelInputs,
         config: ClosureConfig,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        shape = len(inflow), inflow.shape[1], grid.z.size
+        inflow, area_undeformed, grid = inputs
+        shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
-        inputs = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
+        given = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
         # Referenced here, because Julia uses their memory until it returns.
-        arrays = [*result, *(np.ascontiguousarray(a, np.float64) for a in inputs)]
+        arrays = [*result, *(np.ascontiguousarray(a, np.float64) for a in given)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return result
 

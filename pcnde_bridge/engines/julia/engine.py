@@ -11,14 +11,13 @@ from typing import Any
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.closures import JuliaClosures
 from pcnde_bridge.engines.julia.runtime import running
 from pcnde_bridge.engines.julia.stage import JuliaStage
 from pcnde_bridge.engines.parameters import STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import Objective, Solution
+from pcnde_bridge.engines.types import ModelInputs, Objective, Solution
 
 
 class JuliaEngine(Engine):
@@ -45,20 +44,12 @@ class JuliaEngine(Engine):
         """Pickle as a name: Julia's functions cannot be pickled."""
         return julia_engine, ()
 
-    def predict(
-        self,
-        parameters: Parameters,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-    ) -> Solution:
+    def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Engine`."""
         if config.flow.terms:
-            return predict_by_stages(self, parameters, inflow, area_undeformed, grid, config)
+            return predict_by_stages(self, parameters, inputs, config)
         vectors, passes = tuple(dict(parameters).values()), config.coupling_passes
-        cases = inflow, area_undeformed, grid
-        return Solution(*self._julia.call("predict", vectors, *cases, passes, config))
+        return Solution(*self._julia.call("predict", vectors, *inputs, passes, config))
 
     def lbfgs(
         self,

@@ -24,7 +24,7 @@ from pcnde_bridge.engines.jax.closures.coupling import Coupled, VesselModes, cou
 from pcnde_bridge.engines.jax.closures.pressure_losses import REVERSED
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.types import Problem, Solution
+from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
 from pcnde_bridge.errors import SolveError
 
 _BATCH = 64
@@ -58,13 +58,12 @@ class JaxClosures(Closures):
     def flow(
         self,
         others: ClosureParameters,
-        inflow: Array,
-        area_undeformed: Array,
+        inputs: ModelInputs,
         points: npt.NDArray[np.int64],
-        grid: Grid,
         config: ClosureConfig,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        inflow, area_undeformed, grid = inputs
         with double_precision():
             vectors = others.wall, others.losses
             vessels = _vessels(*vectors, area_undeformed, grid.z, config=_relevant(config))
@@ -75,14 +74,13 @@ class JaxClosures(Closures):
         self,
         parameters: ClosureParameters,
         shift: Array,
-        inflow: Array,
-        area_undeformed: Array,
-        grid: Grid,
+        inputs: ModelInputs,
         config: ClosureConfig,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        inflow, area_undeformed, grid = inputs
         settings, count = _relevant(config), len(inflow)
-        shape = count, inflow.shape[1], grid.z.size
+        shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
         # Many waveforms usually share few vessels.
         vessel_of = [s.tobytes() for s in area_undeformed]
