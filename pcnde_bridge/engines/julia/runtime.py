@@ -197,8 +197,6 @@ def start() -> types.ModuleType:
             stacklevel=6,
         )
     os.environ.update(status.environment)
-    if status.installable:
-        print("Installing Julia and its packages once; this takes some minutes.", file=sys.stderr)
     try:
         import juliacall
     except Exception as error:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import reduce
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,6 +44,9 @@ from pcnde_bridge.engines.shared_terms import (
     outlet_impedance,
     spectral_derivative,
 )
+
+_Signals = tuple[jax.Array, ...]
+"""Functions of time."""
 
 _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Harmonics of Q(L), bounds of the last two changes of Q(L), and number of passes."""
@@ -179,18 +182,20 @@ def couple(
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
     linear = _linear_filling(total, with_rate[1], i_omega, mean_flow, mean_pressure)
-    solve = 1 / (_typical(shown) + kappa * linear)
+    middle = (jnp.max(shown) + jnp.min(shown)) / 2
+    solve = 1 / ((jnp.mean(shown) + middle) / 2 + kappa * linear)
 
-    def state(harmonics: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def state(harmonics: jax.Array) -> tuple[_Signals, _Signals, _Signals]:
+        """Return d with its rates, P and the modes, and ∂/∂t of P, P² and the modes."""
         found = signals(
             jnp.concatenate([with_rates * (inflow_harmonics - harmonics), with_rate * harmonics])
         )
-        return found[:3], found[3:].at[0].add(offset)
+        stored, (p, p_rate) = tuple(found[:3]), tuple(found[3:].at[0].add(offset))
+        modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), stored)
+        return stored, (p, *modes), (p_rate, 2 * p * p_rate, *mode_rates)
 
     def one_pass(harmonics: jax.Array) -> jax.Array:
-        stored, pressure = state(harmonics)
-        _, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
-        rates = _volume_rates(tuple(pressure), mode_rates)
+        stored, _, rates = state(harmonics)
         filling = reduce(jnp.add, (v * r for v, r in zip(total, rates, strict=True)))
         change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
         return change
@@ -198,12 +203,9 @@ def couple(
     inflow_signals = signals(with_rates * inflow_harmonics).at[0].set(inflow)
     settled = None if tolerance is None else tolerance * jnp.max(jnp.abs(inflow))
     harmonics, change = _iterate(one_pass, passive, n_times, settings.passes, settled)
-    stored, pressure = state(harmonics)
-    modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), tuple(stored))
-    rates = jnp.stack(_volume_rates(tuple(pressure), mode_rates))
-    p = pressure[0]
+    stored, (p, *modes), rates = state(harmonics)
     return Coupled(
-        jnp.concatenate([inflow[None], -kappa * (1 - g) * rates]),
+        jnp.concatenate([inflow[None], -kappa * (1 - g) * jnp.stack(rates)]),
         jnp.stack([p**2, jnp.ones_like(p), p, *modes]),
         mean_pressure,
         change,
@@ -219,12 +221,6 @@ def _impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
     omega = harmonic_frequencies(n_times, period, jnp)
     z: jax.Array = outlet_impedance(outlet[0], outlet[1], outlet[2], omega)
     return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
-
-
-def _typical(shown: jax.Array) -> jax.Array:
-    """Return ē from e(t)."""
-    middle = (jnp.max(shown) + jnp.min(shown)) / 2
-    return (jnp.mean(shown) + middle) / 2
 
 
 def _linear_filling(
@@ -278,9 +274,3 @@ def _iterate(
 
     last = jax.lax.while_loop(continues, advance, first)
     return last[0], last[1]
-
-
-def _volume_rates(pressure: tuple[Any, Any], mode_rates: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return ∂/∂t of P, P² and the modes, 2 + k of (time,)."""
-    p, p_rate = pressure
-    return p_rate, 2 * p * p_rate, *mode_rates

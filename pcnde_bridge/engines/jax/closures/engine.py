@@ -89,21 +89,30 @@ class JaxClosures(Closures):
         row = {vessel: number for number, vessel in enumerate(distinct)}
         which = np.array([row[vessel] for vessel in vessel_of])
 
-        def compute(start: int) -> None:
+        def compute(start: int) -> Array:
             rows = slice(start, start + _BATCH)
             batch: VesselModes = jax.tree.map(lambda modes: modes[which[rows]], vessels)
-            coupled = _couple_batch(
-                parameters, batch, (shift[rows], inflow[rows]), grid.period, settings, start
-            )
+            at_outlet = batch.flow[:, :, -1], batch.flow_slope[:, :, -1]
+            cases = shift[rows], inflow[rows], *at_outlet
+            coupled = _couple_batch(parameters, cases, grid.period, settings)
             _write_fields(coupled, batch, *(field[rows] for field in result if field is not None))
+            return np.asarray(coupled.change)
 
-        if count <= _BATCH:
-            compute(0)
+        starts = range(0, count, _BATCH)
+        if len(starts) == 1:
+            changes = [compute(0)]
         else:
             # One thread more than processors, because one usually waits for JAX.
             with ThreadPoolExecutor(max_workers=(os.cpu_count() or 1) + 1) as pool:
-                # Reading the results raises the exception of a batch.
-                list(pool.map(compute, range(0, count, _BATCH)))
+                changes = list(pool.map(compute, starts))
+        settled = np.concatenate(changes) <= _CONVERGED * np.abs(inflow).max(axis=1)
+        if not settled.all():
+            raise SolveError(
+                f"Flow, area and pressure of case {np.argmin(settled)} do not settle in "
+                f"{config.correction.passes} coupling passes. Check the units of inflow and area "
+                "(mL/s, cm²); a stronger waveform or a longer vessel needs more passes "
+                "(correction.passes)."
+            )
         return result
 
 
@@ -125,29 +134,14 @@ def _distinct_vessels(
 
 
 def _couple_batch(
-    parameters: ClosureParameters,
-    vessels: VesselModes,
-    signals: tuple[Array, Array],
-    period: float,
-    config: ClosureConfig,
-    first: int,
+    parameters: ClosureParameters, cases: tuple[Any, ...], period: float, config: ClosureConfig
 ) -> Coupled:
-    """Couple a batch of cases, of shift and inflow; ``first`` is the first case's number."""
-    at_outlet = vessels.flow[:, :, -1], vessels.flow_slope[:, :, -1]
-    cases = tuple(_padded(array) for array in (*signals, *at_outlet))
-    size, inflow = len(signals[1]), signals[1]
+    """Couple a batch of cases; see :func:`_couple`."""
+    vectors = parameters.outlet, parameters.wall, parameters.correction
+    padded = tuple(_padded(array) for array in cases)
     with double_precision():
-        vectors = parameters.outlet, parameters.wall, parameters.correction
-        found = _couple(vectors, cases, period, config=config)
-        coupled: Coupled = jax.tree.map(lambda a: np.asarray(a)[:size], found)
-    failed = np.flatnonzero(~(coupled.change <= _CONVERGED * np.abs(inflow).max(axis=1)))
-    if failed.size:
-        raise SolveError(
-            f"Flow, area and pressure of case {first + failed[0]} do not settle in "
-            f"{config.correction.passes} coupling passes. Check the units of inflow and area "
-            "(mL/s, cm²); a stronger waveform or a longer vessel needs more passes "
-            "(correction.passes)."
-        )
+        found = _couple(vectors, padded, period, config=config)
+        coupled: Coupled = jax.tree.map(lambda array: np.asarray(array)[: len(cases[0])], found)
     return coupled
 
 

@@ -24,7 +24,7 @@ products of a function of z and a function of t.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -78,10 +78,8 @@ def coefficients(
     # With this mean the intervals with A_j = S_u add up to the change of 1/(2·S_u²) exactly.
     between = (1 / area_undeformed[1:] + 1 / area_undeformed[:-1]) / 2
 
-    def jet(area: jax.Array, dz: jax.Array) -> jax.Array:
-        pieces: jax.Array = physics.density * jnp.diff(1 / jet_area(area, dz, spread))
-        scaled: jax.Array = convection * pieces
-        return scaled
+    def jet(area: jax.Array, dz: jax.Array) -> Any:
+        return convection * (physics.density * jnp.diff(1 / jet_area(area, dz, spread)))
 
     return Coefficients(
         friction * 8 * jnp.pi * physics.viscosity / area_undeformed**2,
