@@ -20,7 +20,8 @@ Interpolate = Callable[[jax.Array], jax.Array]
 
 def integrate(
     rate: Callable[[Interpolate, jax.Array, jax.Array], jax.Array],
-    scaled_error: Callable[..., jax.Array],
+    flow: Callable[[jax.Array, jax.Array], jax.Array],
+    flow_error: Callable[[jax.Array], jax.Array],
     start: jax.Array,
     weight: jax.Array,
     z: jax.Array,
@@ -32,9 +33,10 @@ def integrate(
     ----------
     rate : callable
         ``(interpolate, z, state)``: the state's derivative with respect to z, (case, number).
-    scaled_error : callable
-        ``(z0, z1, state0, state1, error)``: error of a step divided by the tolerance,
-        (case, time).
+    flow : callable
+        ``(z, state)``: Q, (case, time), on which the error is measured.
+    flow_error : callable
+        ``(error)``: error of Q, (case, time), from the error of the state.
     start : array of shape (case, number)
         State at the first point.
     weight : array of shape (case,)
@@ -57,8 +59,11 @@ def integrate(
         share = (position - z[i]) / (z[i + 1] - z[i])
         return rate(lambda at: (1 - share) * at[i] + share * at[i + 1], position, state)
 
-    def error_norm(*step: jax.Array) -> jax.Array:
-        scaled = scaled_error(*step)
+    def error_norm(
+        z0: jax.Array, z1: jax.Array, state0: jax.Array, state1: jax.Array, error: jax.Array
+    ) -> jax.Array:
+        size = jnp.maximum(jnp.abs(flow(z0, state0)), jnp.abs(flow(z1, state1)))
+        scaled = flow_error(error) / (stage.atol + stage.rtol * size)
         mean = jnp.sum(weight[:, None] * scaled**2) / (jnp.sum(weight) * scaled.shape[1])
         return jnp.sqrt(mean)
 

@@ -140,17 +140,11 @@ def solve_hidden(
             values = activation(values @ matrix + bias)
         return values
 
-    def size_of_flow(position: jax.Array, state: jax.Array) -> jax.Array:
-        return jnp.abs(inflow + (position - z[0]) * last_bias + state @ last)
-
-    def scaled_error(
-        z0: jax.Array, z1: jax.Array, y0: jax.Array, y1: jax.Array, error: jax.Array
-    ) -> jax.Array:
-        size = jnp.maximum(size_of_flow(z0, y0), size_of_flow(z1, y1))
-        return (error @ last) / (stage.atol + stage.rtol * size)
+    def flow(position: jax.Array, state: jax.Array) -> jax.Array:
+        return inflow + (position - z[0]) * last_bias + state @ last
 
     start = jnp.zeros((inflow.shape[0], last.shape[0]))
-    hidden, solved = integrate(rate, scaled_error, start, weight, z, stage)
+    hidden, solved = integrate(rate, flow, lambda error: error @ last, start, weight, z, stage)
     return jnp.moveaxis(hidden, 0, 1), solved
 
 
