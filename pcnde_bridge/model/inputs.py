@@ -134,10 +134,8 @@ def inputs_from_arrays(
             f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give equal numbers of "
             "both, or one of either."
         )
-    q, s_u = (
-        np.repeat(a, count, axis=0) if len(a) < count else a
-        for a in (q * factor["flow"], s_u * factor["area"])
-    )
+    converted = q * factor["flow"], s_u * factor["area"]
+    q, s_u = (np.repeat(array, count // len(array), axis=0) for array in converted)
     numbers = pd.DataFrame(np.arange(count)[:, None], columns=_CASE, copy=False)
     return Inputs(q, s_u, grid, numbers)
 
