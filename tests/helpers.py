@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import ClassVar
 
@@ -130,8 +129,7 @@ class ToyStage:
 
     def objective(self, inputs, target, weight, grid, config):
         chosen = np.asarray(weight) > 0
-        arrays = {f.name: getattr(inputs, f.name)[chosen] for f in dataclasses.fields(inputs)}
-        part = type(inputs)(**arrays)
+        part = type(inputs)(*(array[chosen] for array in inputs))
         return lambda x: self.loss_and_gradient(x, part, target[chosen], grid, config)
 
     def fit(self, parameters, inputs, target, grid, config, iterations, on_iteration=None):
