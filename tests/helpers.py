@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from pcnde_bridge.config import FAST, PHYSICS, Physics
+from pcnde_bridge.config import FAST, PHYSICS
+from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES

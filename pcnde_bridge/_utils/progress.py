@@ -18,6 +18,8 @@ from rich.progress import (
 LOG_EVERY = 10.0
 """Seconds between two lines of a log, where no bar can be drawn."""
 
+_PACE_PERIOD = 3600.0  # seconds over which the pace is averaged, for the remaining time
+
 
 class ProgressDisplay:
     """Bar in a terminal or notebook; occasional lines elsewhere, so that log files stay short.
@@ -54,6 +56,8 @@ class ProgressDisplay:
             MofNCompleteColumn(),
             *columns,
             console=self._console,
+            get_time=time.monotonic,
+            speed_estimate_period=_PACE_PERIOD,
             disable=not self._draws,
             # Without a thread that redraws: Python may collect garbage in any thread, and
             # objects of Julia must be released only in the thread that runs Julia.

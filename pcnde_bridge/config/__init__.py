@@ -1,7 +1,8 @@
 """Every number of the method in one place: immutable, validated and serializable.
 
 :data:`PAPER`, the default, follows the text of Csala, Mohan, Livescu and Arzani (2024);
-:data:`PRESETS` lists the other named configurations.  Units are CGS.
+:data:`PRESETS` lists the other named configurations.  The groups of settings are in
+:mod:`pcnde_bridge.config.settings`.  Units are CGS.
 """
 
 from pcnde_bridge.config.presets import (
@@ -14,39 +15,17 @@ from pcnde_bridge.config.presets import (
     resolve_config,
     resolve_pcnde_config,
 )
-from pcnde_bridge.config.settings import (
-    BFGS,
-    Activation,
-    ClosureConfig,
-    Config,
-    CorrectionClosure,
-    FlowStage,
-    FourierAreaStage,
-    FullBatch,
-    PCNDEConfig,
-    Physics,
-    Term,
-    WallClosure,
-)
+from pcnde_bridge.config.settings import ClosureConfig, Config, PCNDEConfig
 
 __all__ = [
-    "BFGS",
     "FAST",
     "PAPER",
     "PHYSICS",
     "PRESETS",
     "PUBLISHED_CODE",
-    "Activation",
     "ClosureConfig",
     "Config",
-    "CorrectionClosure",
-    "FlowStage",
-    "FourierAreaStage",
-    "FullBatch",
     "PCNDEConfig",
-    "Physics",
-    "Term",
-    "WallClosure",
     "config_from",
     "resolve_config",
     "resolve_pcnde_config",

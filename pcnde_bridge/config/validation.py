@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import math
@@ -62,11 +61,8 @@ class Section:
         hints = typing.get_type_hints(type(self))
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             where, value = f"{type(self).__name__}.{f.name}", getattr(self, f.name)
-            checked = _checked(value, hints[f.name], where)
+            checked = _checked(value, hints[f.name], where, f.metadata.get("rule", "at least 0"))
             object.__setattr__(self, f.name, checked)
-            rule, least = f.metadata.get("rule", "at least 0"), _smallest(checked)
-            if (least < 0 and rule == "at least 0") or (least <= 0 and rule == "positive"):
-                raise InputError(f"{where} must be {rule}, got {value!r}.")
             if f.metadata.get("nonempty", False) and not checked:
                 raise InputError(f"{where} must not be empty.")
 
@@ -136,14 +132,7 @@ class Settings(Section):
         return cls.from_dict(settings)
 
 
-def _smallest(value: Any) -> float:
-    """Return the smallest number in a setting, infinity if it has none."""
-    values = value if isinstance(value, tuple) else (value,)
-    found = (v for v in values if isinstance(v, int | float) and not isinstance(v, bool))
-    return min(found, default=math.inf)
-
-
-def _checked(value: Any, hint: Any, where: str) -> Any:
+def _checked(value: Any, hint: Any, where: str, rule: str) -> Any:
     """Return ``value`` as the annotated type, or raise an error that explains the mismatch."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
@@ -154,18 +143,22 @@ def _checked(value: Any, hint: Any, where: str) -> Any:
         if value is None:
             return None
         (hint,) = (a for a in arguments if a is not type(None))
-        return _checked(value, hint, where)
+        return _checked(value, hint, where, rule)
     if origin is tuple:
         if isinstance(value, str) or not isinstance(value, list | tuple):
             raise InputError(f"{where} must be a sequence, got {value!r}.")
-        return tuple(_checked(v, arguments[0], f"{where}[{i}]") for i, v in enumerate(value))
+        return tuple(_checked(v, arguments[0], f"{where}[{i}]", rule) for i, v in enumerate(value))
     accepted = {int: numbers.Integral, float: numbers.Real}.get(hint, hint)
     if not isinstance(value, accepted) or (isinstance(value, bool) and hint is not bool):
         raise InputError(f"{where} must be {hint.__name__}, got {value!r}.")
     if accepted is hint:
         return value
-    with contextlib.suppress(OverflowError):  # of an integer beyond all floats
-        value = hint(value)  # from a number of another library, such as numpy
-        if math.isfinite(value):
-            return value
-    raise InputError(f"{where} must be finite, got {value!r}.")
+    try:
+        number = hint(value)  # from a number of another library, such as numpy
+    except OverflowError:  # an integer beyond all floats
+        number = math.inf
+    if not math.isfinite(number):
+        rule = "finite"
+    elif rule == "any number" or number > 0 or (number == 0 and rule == "at least 0"):
+        return number
+    raise InputError(f"{where} must be {rule}, got {value!r}.")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pcnde_bridge.config import PCNDEConfig, Physics
+from pcnde_bridge.config.settings import PCNDEConfig, Physics
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 
 STEEPNESS = 10.0

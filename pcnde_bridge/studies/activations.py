@@ -16,7 +16,8 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.parallel import Workers, each
 from pcnde_bridge._utils.validation import whole_seeds
-from pcnde_bridge.config import Activation, PCNDEConfig, resolve_pcnde_config
+from pcnde_bridge.config import PCNDEConfig, resolve_pcnde_config
+from pcnde_bridge.config.settings import Activation
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.parameters import PRESSURE_STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine

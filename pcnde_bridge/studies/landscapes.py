@@ -22,7 +22,8 @@ from scipy.ndimage import minimum_filter
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import positive, whole
-from pcnde_bridge.config import PAPER, PCNDEConfig, Term, resolve_pcnde_config
+from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
+from pcnde_bridge.config.settings import Term
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineChoice, select_engine

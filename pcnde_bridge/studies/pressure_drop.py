@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import Physics
+from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.model.metrics import case_table, relative_error

@@ -50,7 +50,6 @@ class Checkpoint(Generic[State]):
     def __init__(self, path: StrPath, procedure: Procedure[State]) -> None:
         self.path = Path(path)
         self._procedure = procedure
-        self._damaged = False
 
     def check(self, first: State) -> None:
         """Check that all checkpoints of a run can be written, given its first state.
@@ -96,7 +95,7 @@ class Checkpoint(Generic[State]):
             except (FileError, InputError):
                 raise error from None
             _log.warning("%s Continuing from the checkpoint before it, %s.", error, before)
-            self._damaged = True
+            before.replace(self.path)
             return state
 
     def _read(self, path: Path, seed: int) -> State:
@@ -133,7 +132,7 @@ class Checkpoint(Generic[State]):
         before, run = previous(self.path), self._procedure
         if not self.path.exists():
             before.unlink(missing_ok=True)  # of a run that was deleted
-        elif not self._damaged:
+        else:
             # A copy, so that the newest file exists at every moment.
             with atomic_write(before) as temporary:
                 shutil.copyfile(self.path, temporary)
@@ -147,4 +146,3 @@ class Checkpoint(Generic[State]):
         }
         arrays |= histories.to_arrays(state.history)
         write_archive(self.path, *run.checkpoint_format, facts, arrays)
-        self._damaged = False

@@ -56,8 +56,6 @@ OnIteration = Callable[[Iteration], None]
 RunFit = Callable[[str, int, int, Callable[[OnLoss], Fit]], Array]
 """Signature of :meth:`Recorder.run`."""
 
-_NUMBERS = Iteration._fields[:-1]
-
 
 def ignore(_: object) -> None:
     """Do nothing: the default callback."""
@@ -78,7 +76,7 @@ def to_arrays(history: Sequence[Iteration]) -> dict[str, AnyArray]:
         and ``history_outcomes``, ASCII text of shape (iteration,).
     """
     rows = [(_ORDER.index(r.stage), *r[1:-1]) for r in history]
-    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(_NUMBERS))
+    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(Iteration._fields) - 1)
     return {"history": numbers, "history_outcomes": np.array([r.outcome for r in history], "S")}
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import FullBatch
+from pcnde_bridge.config.settings import FullBatch
 from pcnde_bridge.engines.types import LBFGS, Fit, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 

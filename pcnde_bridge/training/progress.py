@@ -28,7 +28,6 @@ class TrainingProgress(ProgressDisplay):
         fields = TextColumn("loss {task.fields[loss]}"), TextColumn("{task.fields[fits]}")
         columns = (*fields, TimeElapsedColumn(), TextColumn("<"), TimeRemainingColumn())
         super().__init__("training", total, done, columns, console=console, loss="-", fits="")
-        self._compiled = 0.0  # time at which the first iteration of this run was complete
         self._fits, self._converged = 0, 0
 
     def __exit__(self, kind: type[BaseException] | None, *details: object) -> None:
@@ -46,8 +45,6 @@ class TrainingProgress(ProgressDisplay):
         """Count one iteration."""
         self._done += 1
         now = time.monotonic()
-        if self._done == self._first + 1:
-            self._compiled = now
         stage, loss = iteration.stage.replace("_", " "), f"{iteration.loss:.3e}"
         where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
         self._bar.update(self._task, completed=self._done, description=where, loss=loss)
@@ -56,12 +53,9 @@ class TrainingProgress(ProgressDisplay):
         if self._draws:
             self._bar.refresh()
             return
-        # Iterations of an earlier run, and compilation before the first one, do not predict
-        # how long the others will take.
-        counted, left = self._done - self._first - 1, "unknown"
-        if counted:
-            pace = (now - self._compiled) / counted
-            left = f"{pace * (self._total - self._done):.0f} s"
+        # Iterations of an earlier run, and compilation before the first one, do not count.
+        seconds = self._bar.tasks[0].time_remaining
+        left = "unknown" if seconds is None else f"{seconds:.0f} s"
         fits = f"converged {self._converged} of {self._fits} fits, " if self._fits else ""
         self._print(
             f"{where}: iteration {self._done} of {self._total}, loss {loss}, {fits}"

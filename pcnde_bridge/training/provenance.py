@@ -15,7 +15,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 
 
-def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]:
+def provenance(cases: Cases, engine: Engine, seed: int) -> dict[str, Any]:
     """Collect the facts of a fit that starts now.
 
     Parameters
@@ -23,7 +23,7 @@ def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]
     cases : Cases
         Training cases; their number, labels (geometry and waveform) and fingerprint are
         stored.
-    engine : Engine or None
+    engine : Engine
         Compute engine; its name and the versions of its packages are stored.
     seed : int
         Random seed of the fit.
@@ -39,12 +39,12 @@ def provenance(cases: Cases, engine: Engine | None, seed: int) -> dict[str, Any]
         "cases": len(cases),
         "cases_labels": [[int(value) for value in key] for key in keys],
         "cases_fingerprint": cases.fingerprint(),
-        "engine": None if engine is None else engine.name,
+        "engine": engine.name,
         "versions": {
             "pcnde_bridge": __version__,
             "python": platform.python_version(),
             **{name: version_of(name) for name in ("numpy", "pandas", "scipy")},
-            **({} if engine is None else engine.versions),
+            **engine.versions,
         },
         "platform": platform.platform(),
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),

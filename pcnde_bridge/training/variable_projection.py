@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import FullBatch
+from pcnde_bridge.config.settings import FullBatch
 from pcnde_bridge.engines.parameters import unpack_network
 from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration
 from pcnde_bridge.training.lbfgs import minimize

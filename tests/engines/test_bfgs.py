@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pcnde_bridge.config import BFGS
+from pcnde_bridge.config.settings import BFGS
 from pcnde_bridge.engines.jax.bfgs import minimize
 from pcnde_bridge.errors import SolveError
 

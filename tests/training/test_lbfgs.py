@@ -9,9 +9,7 @@ from helpers import julia_or_skip
 from pcnde_bridge import (
     SolveError,
 )
-from pcnde_bridge.config import (
-    FullBatch,
-)
+from pcnde_bridge.config.settings import FullBatch
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.training.lbfgs import minimize
 

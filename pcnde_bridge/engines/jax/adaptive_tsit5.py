@@ -9,7 +9,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from pcnde_bridge.config import FlowStage
+from pcnde_bridge.config.settings import FlowStage
 from pcnde_bridge.engines.jax.pi_controller import PIController
 
 _CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is recomputed

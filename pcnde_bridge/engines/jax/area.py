@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcnde_bridge.config import FourierAreaStage, PCNDEConfig
+from pcnde_bridge.config.settings import FourierAreaStage, PCNDEConfig
 from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import BFGS
+from pcnde_bridge.config.settings import BFGS
 from pcnde_bridge.engines.types import Fit, Objective, OnIteration
 from pcnde_bridge.errors import SolveError
 

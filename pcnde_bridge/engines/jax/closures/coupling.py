@@ -34,7 +34,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pcnde_bridge.config import CorrectionClosure, Physics
+from pcnde_bridge.config.settings import CorrectionClosure, Physics
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.integrals import from_inlet

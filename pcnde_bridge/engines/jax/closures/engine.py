@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
-from pcnde_bridge.config import ClosureConfig, CorrectionClosure, WallClosure
+from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters

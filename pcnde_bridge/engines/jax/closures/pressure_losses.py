@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from pcnde_bridge.config import Physics
+from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.engines.jax.closures.integrals import summed_from_inlet, to_outlet
 from pcnde_bridge.engines.shared_terms import rate
 
