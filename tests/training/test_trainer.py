@@ -498,7 +498,7 @@ def test_going_on_with_another_engine_is_told(
 def test_a_damaged_checkpoint_is_refused_and_kept(small_cases, toy_config, toy_engine, checkpoint):
     whole = checkpoint.read_bytes()
     flipped = bytearray(whole)
-    flipped[len(whole) // 2] ^= 1
+    flipped[whole.index(b"NUMPY")] ^= 1  # in an array: dates in the archive have no checksum
     previous(checkpoint).unlink()
     for content in (whole[: len(whole) // 2], b"", b"hello", bytes(flipped)):
         checkpoint.write_bytes(content)
