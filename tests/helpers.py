@@ -40,6 +40,11 @@ def julia_or_skip() -> Engine:
     return select_engine("julia")
 
 
+def loss_and_gradient_of(stage, parameters, inputs, target, grid, config):
+    """Return a stage's loss and its gradient, all cases with equal weights."""
+    return stage.objective(inputs, target, np.ones(len(target)), grid, config)(parameters)
+
+
 # Closures of the preset ``physics``.  One grid throughout, and 16 cases at once: every new
 # shape is compiled for seconds.
 Z = np.linspace(0.0, 4.0, 41)
@@ -118,26 +123,26 @@ class ToyStage:
         predicted = self.solve(parameters, inputs, grid, config)
         return float(((self.compared(predicted, target.shape[1]) - target) ** 2).mean())
 
-    def loss_and_gradient(self, parameters, inputs, target, grid, config):
-        _, weights = self._k(parameters)
-        gradient = np.zeros(parameters.size)
-        for row in weights:
-            step = 1e-4 * row
-            rise = self._loss(parameters + step, inputs, target, grid, config)
-            fall = self._loss(parameters - step, inputs, target, grid, config)
-            gradient += (rise - fall) * row
-        return self._loss(parameters, inputs, target, grid, config), gradient
-
     def objective(self, inputs, target, weight, grid, config):
         chosen = np.asarray(weight) > 0
-        part = type(inputs)(*(array[chosen] for array in inputs))
-        return lambda x: self.loss_and_gradient(x, part, target[chosen], grid, config)
+        part = type(inputs)(*(array[chosen] for array in inputs)), target[chosen], grid, config
+
+        def evaluate(parameters):
+            _, weights = self._k(parameters)
+            gradient = np.zeros(parameters.size)
+            for row in weights:
+                step = 1e-4 * row
+                rise, fall = (self._loss(parameters + s, *part) for s in (step, -step))
+                gradient += (rise - fall) * row
+            return self._loss(parameters, *part), gradient
+
+        return evaluate
 
     def fit(self, parameters, inputs, target, grid, config, iterations, on_iteration=None):
         self.fits.append((parameters.copy(), inputs, target))
         losses = [self._loss(parameters, inputs, target, grid, config)]
         for number in range(1, iterations + 1):
-            _, gradient = self.loss_and_gradient(parameters, inputs, target, grid, config)
+            _, gradient = loss_and_gradient_of(self, parameters, inputs, target, grid, config)
             length = np.linalg.norm(gradient)
             parameters = parameters - 0.05 * gradient / (length if length > 0 else 1.0)
             losses.append(self._loss(parameters, inputs, target, grid, config))

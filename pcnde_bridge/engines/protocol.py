@@ -54,19 +54,10 @@ class Stage(Protocol):
             If the equation cannot be integrated to the end.
         """
 
-    def loss_and_gradient(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> tuple[float, Array]:
-        """Compute the squared error against the target, and its gradient.
-
-        The flow stage controls its step by the error of all cases together.
-        The loss is infinite where the equation cannot be integrated.
-        """
-
     def losses(
         self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
-        """Compute the loss of :meth:`loss_and_gradient` for many parameter vectors.
+        """Compute the loss of :meth:`objective`, with equal weights, for many parameter vectors.
 
         Parameters
         ----------
@@ -82,12 +73,20 @@ class Stage(Protocol):
     def objective(
         self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
     ) -> Objective:
-        """Prepare :meth:`loss_and_gradient` for many evaluations.
+        """Prepare the squared error against the target, and its gradient.
+
+        The flow stage controls its step by the error of all cases together.
 
         Parameters
         ----------
         weight : array of shape (case,)
             Weight of each case's squared error; cases of weight 0 are ignored.
+
+        Returns
+        -------
+        callable
+            Maps parameters to the loss, infinite where the equation cannot be integrated, and its
+            gradient.
         """
 
     def fit(
@@ -100,7 +99,7 @@ class Stage(Protocol):
         iterations: int,
         on_iteration: OnIteration | None = None,
     ) -> Fit:
-        """Minimize :meth:`loss_and_gradient` by BFGS.
+        """Minimize :meth:`objective`, with equal weights, by BFGS.
 
         Parameters
         ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import loss_and_gradient_of
 
 from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines.jax.engine import JaxEngine
@@ -114,7 +115,8 @@ def test_losses_and_gradients_agree(engines, config, small_cases, problem, stage
     grid, pairs = problem
     vector = getattr(some_parameters(config, small_cases), stage)
     (julia, by_julia), (jax, by_jax) = (
-        getattr(e, stage).loss_and_gradient(vector, *pairs[stage], grid, config) for e in engines
+        loss_and_gradient_of(getattr(e, stage), vector, *pairs[stage], grid, config)
+        for e in engines
     )
     assert julia == pytest.approx(jax, rel=1e-10)
     np.testing.assert_allclose(by_julia, by_jax, rtol=1e-6, atol=1e-9 * np.abs(by_jax).max())
@@ -133,7 +135,7 @@ def test_gradients_agree_with_finite_differences(engines, small_cases, problem, 
     vector = getattr(some_parameters(config, small_cases), stage)
 
     def loss_and_gradient(x):
-        return getattr(julia, stage).loss_and_gradient(x, inputs, target, grid, config)
+        return loss_and_gradient_of(getattr(julia, stage), x, inputs, target, grid, config)
 
     loss, gradient = loss_and_gradient(vector)
     rng = np.random.default_rng(0)
@@ -198,7 +200,7 @@ def test_first_batch_of_the_paper_takes_the_same_path(engines, published_cases):
     julia, jax = (e.flow.fit(first, inputs, cases.flow[batch], grid, PAPER, 5) for e in engines)
     np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
     (_, by_julia), (_, by_jax) = (
-        e.flow.loss_and_gradient(first, inputs, cases.flow[batch], grid, PAPER) for e in engines
+        loss_and_gradient_of(e.flow, first, inputs, cases.flow[batch], grid, PAPER) for e in engines
     )
     np.testing.assert_allclose(by_julia, by_jax, rtol=1e-6, atol=1e-9 * np.abs(by_jax).max())
 

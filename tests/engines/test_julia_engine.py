@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import loss_and_gradient_of
 
 from pcnde_bridge.cli.doctor import examine
 from pcnde_bridge.config import PAPER
@@ -310,7 +311,7 @@ def test_status_of_the_running_julia(engine):
 def test_results_are_numpys_own(engine, flow_problem):
     vector, inputs, target, grid, config = flow_problem
     flow = engine.flow.solve(vector, inputs, grid, config)
-    _, gradient = engine.flow.loss_and_gradient(vector, inputs, target, grid, config)
+    _, gradient = loss_and_gradient_of(engine.flow, vector, inputs, target, grid, config)
     fit = engine.flow.fit(vector, inputs, target, grid, config, 2)
     for array in (flow, gradient, fit.parameters, fit.losses):
         assert type(array) is np.ndarray and array.dtype == np.float64
@@ -358,7 +359,7 @@ def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
     chosen = np.arange(len(target)) % 3 == 1
     objective = engine.flow.objective(inputs, target, chosen, grid, config)
     some = FlowInputs(inputs.inflow[chosen], inputs.area[chosen])
-    loss, gradient = engine.flow.loss_and_gradient(vector, some, target[chosen], grid, config)
+    loss, gradient = loss_and_gradient_of(engine.flow, vector, some, target[chosen], grid, config)
     other = engine.flow.objective(inputs, target, ~chosen, grid, config)
     for _ in range(2):  # Julia keeps one problem at a time
         found, by_objective = objective(vector)
@@ -393,7 +394,7 @@ def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
     broken = np.full_like(vector, np.nan)
     with pytest.raises(SolveError, match=r"case 0.*units"):
         engine.flow.solve(broken, inputs, grid, config)
-    assert engine.flow.loss_and_gradient(broken, inputs, target, grid, config)[0] == np.inf
+    assert loss_and_gradient_of(engine.flow, broken, inputs, target, grid, config)[0] == np.inf
     with pytest.raises(SolveError, match="not finite at the first parameters"):
         engine.flow.fit(broken, inputs, target, grid, config, 2)
     few = config.replace(flow={"max_steps": 2})

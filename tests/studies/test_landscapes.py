@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import loss_and_gradient_of
 from scipy.integrate import solve_ivp
 
 from pcnde_bridge import plots
@@ -113,7 +114,7 @@ def test_gradient_with_all_terms_agrees_with_finite_differences(engine, small_ca
     vector = quiet(initial_parameters(config, cases.n_times, cases.n_points, 0).flow)
 
     def loss_and_gradient(x):
-        return engine.flow.loss_and_gradient(x, inputs, cases.flow, grid, config)
+        return loss_and_gradient_of(engine.flow, x, inputs, cases.flow, grid, config)
 
     _, gradient = loss_and_gradient(vector)
     direction = np.random.default_rng(0).normal(size=vector.size)
@@ -128,7 +129,7 @@ def test_center_is_the_loss_of_the_parameters(engine, small_cases, short_config)
     inputs, grid = flow_problem(small_cases)
     vector = initial_parameters(short_config, small_cases.n_times, small_cases.n_points, 1).flow
     args = (inputs, small_cases.flow, grid, short_config)
-    loss, gradient = engine.flow.loss_and_gradient(vector, *args)
+    loss, gradient = loss_and_gradient_of(engine.flow, vector, *args)
     losses = loss_landscape(engine, vector, *args, points=3, amplitude=1e-6, seed=7)
     assert losses.shape == (3, 3)
     assert losses[1, 1] == pytest.approx(loss, rel=1e-12)
@@ -257,7 +258,7 @@ class TestEnginesAgree:
         config = PAPER.replace(flow={"terms": terms, "hidden": (4,), **solver})
         vector = quiet(initial_parameters(config, cases.n_times, cases.n_points, 0).flow)
         (julia, by_julia), (jax, by_jax) = (
-            e.flow.loss_and_gradient(vector, inputs, cases.flow, grid, config) for e in both
+            loss_and_gradient_of(e.flow, vector, inputs, cases.flow, grid, config) for e in both
         )
         assert julia == pytest.approx(jax, rel=agreement)
         assert relative_error(by_julia, by_jax) < agreement

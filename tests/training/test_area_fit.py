@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import LITTLE, julia_or_skip
+from helpers import LITTLE, julia_or_skip, loss_and_gradient_of
 
 from pcnde_bridge.engines.types import (
     FourierAreaInputs,
@@ -27,8 +27,8 @@ def area_gradients(engine, cases, grid, config):
         (engine.intermediate_area, inputs, first, loss),
         (engine.fourier_area, fourier, second, fourier_loss),
     ):
-        found, at_fit = stage.loss_and_gradient(vector, arrays, cases.area, grid, config)
-        _, before = stage.loss_and_gradient(start, arrays, cases.area, grid, config)
+        found, at_fit = loss_and_gradient_of(stage, vector, arrays, cases.area, grid, config)
+        _, before = loss_and_gradient_of(stage, start, arrays, cases.area, grid, config)
         assert found == pytest.approx(least, rel=1e-9)
         yield np.abs(at_fit).max() / np.abs(before).max(), vector
 

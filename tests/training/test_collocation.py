@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers import LITTLE
+from helpers import LITTLE, loss_and_gradient_of
 
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
@@ -77,6 +77,6 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
     fitted = found.parameters
     assert all(later <= earlier for earlier, later in pairwise(losses))
     inputs = FlowInputs(small_cases.inflow, area)
-    through, _ = engine.flow.loss_and_gradient(fitted, inputs, small_cases.flow, grid, config)
-    before, _ = engine.flow.loss_and_gradient(start, inputs, small_cases.flow, grid, config)
+    through, _ = loss_and_gradient_of(engine.flow, fitted, inputs, small_cases.flow, grid, config)
+    before, _ = loss_and_gradient_of(engine.flow, start, inputs, small_cases.flow, grid, config)
     assert through < 1.5 * losses[-1] < 1e-3 * before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import LITTLE
+from helpers import LITTLE, loss_and_gradient_of
 
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import (
@@ -25,8 +25,8 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     fit = SpatialPressureFit(inputs, target, grid.z, config).fit
     vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
     stage = engine.spatial_pressure
-    loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
-    first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
+    loss, gradient = loss_and_gradient_of(stage, vector, inputs, target, grid, config)
+    first, before = loss_and_gradient_of(stage, start, inputs, target, grid, config)
     assert loss < first
     assert losses[-1] == pytest.approx(loss, rel=1e-6)
     assert np.abs(gradient[:22]).max() < 1e-8 * np.abs(before).max()  # a₁, a₂, b₁

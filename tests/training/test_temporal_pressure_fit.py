@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers import LITTLE
+from helpers import LITTLE, loss_and_gradient_of
 
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import (
@@ -28,8 +28,8 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(engine, small_cases,
     fit = TemporalPressureFit(inputs, target, config).fit
     vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
     stage = engine.temporal_pressure
-    loss, gradient = stage.loss_and_gradient(vector, inputs, target, grid, config)
-    first, before = stage.loss_and_gradient(start, inputs, target, grid, config)
+    loss, gradient = loss_and_gradient_of(stage, vector, inputs, target, grid, config)
+    first, before = loss_and_gradient_of(stage, start, inputs, target, grid, config)
     assert loss < 0.1 * first
     assert all(later <= earlier for earlier, later in pairwise(losses))
     assert losses[-1] == pytest.approx(loss, rel=0.05)  # but for the ridge

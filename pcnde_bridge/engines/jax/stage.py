@@ -85,12 +85,6 @@ class JaxStage(Stage):
             (result,) = in_batches(partial(self._solve, parameters, **settings), inputs)
             return result
 
-    def loss_and_gradient(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> tuple[float, Array]:
-        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        return self._objective(_fit_data(inputs, target, grid), config)(parameters)
-
     def losses(
         self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:

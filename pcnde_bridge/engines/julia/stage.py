@@ -25,14 +25,6 @@ class JuliaStage(Stage):
         result: Array = self._julia.call("solve", self._name, parameters, inputs, grid, config)
         return result
 
-    def loss_and_gradient(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> tuple[float, Array]:
-        """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        problem = self._name, parameters, inputs, target, grid, config
-        loss, gradient = self._julia.call("loss_and_gradient", *problem)
-        return float(loss), gradient
-
     def losses(
         self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
     ) -> Array:
