@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
+import tomllib
 import types
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -104,9 +105,10 @@ def test_the_users_file_names_julia(bare):
     assert julia_status().precompiled
 
 
-def core_by_path(bare: Path, sources: Path) -> JuliaStatus:
+def core_by_path(bare: Path, sources: Path, lacks: str = "") -> JuliaStatus:
     """Status with a project that has PCNDECore by path, listed with an outdated version."""
-    project = fake_project(bare, "PythonCall")
+    packages = tomllib.loads((julia_sources() / "Project.toml").read_text())["deps"]
+    project = fake_project(bare, "PythonCall", *(name for name in packages if name != lacks))
     with (project / "Manifest.toml").open("a") as file:
         file.write(f'\n[[deps.PCNDECore]]\npath = {json.dumps(str(sources))}\nversion = "0.0.1"\n')
     settings_file(executable=str(fake_julia(bare)), project=str(project))
@@ -119,6 +121,13 @@ def test_the_core_of_a_project_is_compared_with_ours(bare):
     assert f'version = "{status.packages["PCNDECore"]}"' in (
         (julia_sources() / "Project.toml").read_text()
     )
+
+
+def test_a_missing_package_of_the_core_is_named(bare):
+    status = core_by_path(bare, julia_sources(), lacks="Lux")
+    assert not status.usable and "lacks Lux. Add what is missing" in status.message
+    with pytest.raises(EngineUnavailableError, match="lacks Lux"):
+        select_engine("julia")
 
 
 def test_another_core_is_named(bare):

@@ -271,18 +271,19 @@ def _check_packages(status: JuliaStatus, depots: str) -> None:
     project = status.project or Path()
     manifest = next(iter(sorted(project.glob("*Manifest*.toml"))), project / "Manifest.toml")
     entries = {name: entry for name, (entry, *_) in _toml(manifest).get("deps", {}).items()}
-    versions = {name: entry.get("version", "") for name, entry in entries.items()}
-    ours, where = julia_sources(), project
+    versions = {name: entry.get("version", "Julia's own") for name, entry in entries.items()}
+    ours, where, needed = julia_sources(), project, [*_NEEDED]
     if "path" in entries.get("PCNDECore", {}):
         # The manifest has the version of the day on which it was written.
         where = project / entries["PCNDECore"]["path"]
         versions["PCNDECore"] = core_version(where)
+        needed += _toml(where / "Project.toml").get("deps", {})
         if _contents(where) != _contents(ours):
             status.warning = (
                 f"The project has PCNDECore from {where}, which differs from this package's "
                 f"{ours}: the former runs."
             )
-    if missing := [name for name in _NEEDED if not versions.get(name)]:
+    if missing := [name for name in needed if not versions.get(name)]:
         raise EngineUnavailableError(
             f"The Julia project {project} lacks {', '.join(missing)}. Add what is missing "
             f"with: {_command(project)}"
