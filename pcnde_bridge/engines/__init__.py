@@ -61,12 +61,6 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
 
 
 def _jax() -> Engine:
-    try:
-        with interrupts.deferred():
-            from pcnde_bridge.engines.jax.engine import jax_engine
-    except ImportError as error:
-        raise EngineUnavailableError(
-            f"The JAX engine needs jax and diffrax, but {error}. "
-            "Install them: pip install jax diffrax."
-        ) from error
+    with interrupts.deferred():
+        from pcnde_bridge.engines.jax.engine import jax_engine
     return jax_engine()

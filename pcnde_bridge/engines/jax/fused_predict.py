@@ -82,10 +82,8 @@ def predict(
     solved : array of shape (case,)
         Whether the momentum equation was integrated to the end in every pass.
     """
-    (inflow, area_undeformed), (z, period) = inputs, grid
-    network = split_network(parameters["flow"], inflow.shape[1], config)
-    in_time = _functions_of_time(network, inflow.shape[1], period, config)
-    in_space = _couple(parameters, network, in_time, inflow, area_undeformed, z, config)
+    (inflow, area_undeformed), (z, _) = inputs, grid
+    in_time, in_space = _couple(parameters, inputs, grid, config)
     flow = Separable(inflow[:, :, None], in_time.flow, in_space.flow)
     area = Separable(in_space.steady[:, None], in_time.area, in_space.area)
     if parameters["temporal_pressure"].size == 0:
@@ -109,16 +107,13 @@ def _functions_of_time(
 
 
 def _couple(
-    parameters: dict[str, jax.Array],
-    network: FlowNetwork,
-    in_time: _InTime,
-    inflow: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    config: PCNDEConfig,
-) -> _InSpace:
+    parameters: dict[str, jax.Array], inputs: Inputs, grid: GridArrays, config: PCNDEConfig
+) -> tuple[_InTime, _InSpace]:
     """Run all coupling passes."""
-    n_cases = len(inflow)
+    (inflow, area_undeformed), (z, period) = inputs, grid
+    n_cases, n_times = inflow.shape
+    network = split_network(parameters["flow"], n_times, config)
+    in_time = _functions_of_time(network, n_times, period, config)
     a_hat, b_hat = jnp.split(parameters["intermediate_area"], 2)
     a, b = jnp.split(parameters["fourier_area"], 2)
     area_to_layer = network.from_area.sum(axis=0)
@@ -149,8 +144,7 @@ def _couple(
 
     zero = jnp.zeros((n_cases, in_time.flow.shape[0], z.shape[0]))
     first = _InSpace(zero, area_undeformed, zero, jnp.ones(n_cases, dtype=bool))
-    result: _InSpace = jax.lax.fori_loop(0, config.coupling_passes, one_pass, first)
-    return result
+    return in_time, jax.lax.fori_loop(0, config.coupling_passes, one_pass, first)
 
 
 def _until_anchor(n_times: int, config: PCNDEConfig) -> tuple[np.ndarray, float]:

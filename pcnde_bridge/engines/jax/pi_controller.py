@@ -40,20 +40,10 @@ class PIController(diffrax.AbstractStepSizeController[Any, Any]):
         """Return the end of the first step, and the error assumed before it."""
         return t0 + dt0, jnp.asarray(_FIRST_ERROR)
 
-    def adapt_step_size(
-        self,
-        t0: Any,
-        t1: Any,
-        y0: Any,
-        y1_candidate: Any,
-        args: Any,
-        y_error: Any,
-        error_order: Any,
-        controller_state: Any,
-    ) -> Any:
+    def adapt_step_size(self, t0: Any, t1: Any, y0: Any, y1: Any, *others: Any) -> Any:
         """Accept or reject the step, and choose the next."""
-        previous = controller_state
-        error = jax.lax.stop_gradient(self.error_norm(t0, t1, y0, y1_candidate, y_error))
+        _, y_error, _, previous = others
+        error = jax.lax.stop_gradient(self.error_norm(t0, t1, y0, y1, y_error))
         accept = error <= 1
         proportional = error**_BETA1
         # The factor is the largest for an error of zero, and the smallest for NaN.
