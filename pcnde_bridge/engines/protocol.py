@@ -8,7 +8,7 @@ order or a flat parameter vector (see :mod:`pcnde_bridge.engines.parameters` and
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +23,7 @@ from pcnde_bridge.engines.types import (
     Fit,
     ModelInputs,
     Objective,
+    OnIterate,
     OnIteration,
     Problem,
     Solution,
@@ -225,7 +226,7 @@ class Engine(ABC):
         start: Array,
         memory: int,
         iterations: int,
-        on_iteration: Callable[[Array, float], None],
+        on_iterate: OnIterate,
     ) -> None:
         """Minimize a function by L-BFGS without restarts, until its loss no longer decreases.
 
@@ -239,7 +240,7 @@ class Engine(ABC):
             Number of stored pairs of steps and gradient changes.
         iterations : int
             Maximum number of iterations.
-        on_iteration : callable
+        on_iterate : callable
             Called with a copy of each accepted iterate and its loss.  Its exceptions end the
             fit and are propagated.
         """

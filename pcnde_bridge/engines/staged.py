@@ -38,11 +38,6 @@ def anchor(n_times: int, config: PCNDEConfig) -> int:
     }[config.fourier_area.anchor]
 
 
-def initial_area(intermediate: Array, n_times: int, config: PCNDEConfig) -> Array:
-    """Return Ŝ(z, t=0), (case, z), that anchors the Fourier area."""
-    return intermediate[:, anchor(n_times, config)]
-
-
 def solve_area(
     engine: Engine,
     parameters: Parameters,
@@ -54,8 +49,7 @@ def solve_area(
     """Solve both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
     inputs, settings = IntermediateAreaInputs(flow, area_undeformed), (grid, config)
     intermediate = engine.intermediate_area.solve(parameters.intermediate_area, inputs, *settings)
-    start = initial_area(intermediate, flow.shape[1], config)
-    anchored = FourierAreaInputs(flow, start)
+    anchored = FourierAreaInputs(flow, intermediate[:, anchor(flow.shape[1], config)])
     return engine.fourier_area.solve(parameters.fourier_area, anchored, *settings)
 
 

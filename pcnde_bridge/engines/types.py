@@ -15,7 +15,10 @@ OnIteration = Callable[[int, float], None]
 Objective = Callable[[Array], tuple[float, Array]]
 """Loss and gradient at a parameter vector; the loss is infinite where the equation diverges."""
 
-LBFGS = Callable[[Objective, Array, int, int, Callable[[Array, float], None]], None]
+OnIterate = Callable[[Array, float], None]
+"""Callback with an accepted parameter vector and its loss; it may raise to stop."""
+
+LBFGS = Callable[[Objective, Array, int, int, OnIterate], None]
 """Signature of :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
 
 StageInputs = tuple[Array, ...]

@@ -12,7 +12,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.protocol import Engine, Stage
-from pcnde_bridge.engines.staged import initial_area
+from pcnde_bridge.engines.staged import anchor
 from pcnde_bridge.engines.types import Fit, FourierAreaInputs, IntermediateAreaInputs, OnIteration
 from pcnde_bridge.training.least_squares import solve_per_point
 
@@ -76,6 +76,6 @@ def fit_area(
     inputs = IntermediateAreaInputs(flow, cases.area_undeformed)
     intermediate = fit("intermediate_area", inputs, cases.area)
     cycles = engine.intermediate_area.solve(intermediate, inputs, cases.grid, config)
-    start = initial_area(cycles, cases.n_times, config)
+    start = cycles[:, anchor(cases.n_times, config)]
     fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
     return {"intermediate_area": intermediate, "fourier_area": fourier}

@@ -87,7 +87,7 @@ def solve(
     if config.flow.steps is not None:
         return _solve_in_fixed_steps(network, inflow, area, z, config)
     from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
-    hidden, solved = solve_hidden(network, inflow, from_area, weight, z, config)
+    hidden, solved = solve_hidden(network, (inflow, from_area), weight, z, config)
     flow = (
         inflow[:, :, None]
         + network.last_bias[:, None] * (z - z[0])
@@ -97,12 +97,7 @@ def solve(
 
 
 def solve_hidden(
-    network: FlowNetwork,
-    inflow: jax.Array,
-    from_area: jax.Array,
-    weight: jax.Array,
-    z: jax.Array,
-    config: PCNDEConfig,
+    network: FlowNetwork, inputs: Inputs, weight: jax.Array, z: jax.Array, config: PCNDEConfig
 ) -> tuple[jax.Array, jax.Array]:
     """Integrate dH/dz = h, with the error measured on Q.
 
@@ -110,10 +105,9 @@ def solve_hidden(
     ----------
     network : FlowNetwork
         f_θ.
-    inflow : array of shape (case, time)
-        Q_in, mL/s.
-    from_area : array of shape (case, z, hidden)
-        Product of S and the first layer, at the points.
+    inputs : tuple of arrays
+        Q_in (case, time), mL/s, and the product of S and the first layer at the points,
+        (case, z, hidden).
     weight, z, config
         As in :func:`solve`.
 
@@ -124,6 +118,7 @@ def solve_hidden(
     solved : array of shape (case,)
         Whether the integration reached the last point.
     """
+    inflow, from_area = inputs
     if config.flow.steps is not None:
         state = _hidden_in_fixed_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
         return jnp.moveaxis(state, 0, 2), _all_finite(state)

@@ -122,7 +122,8 @@ def _couple(
 
     @jax.vmap
     def solve_one(q: jax.Array, from_area: jax.Array) -> tuple[jax.Array, jax.Array]:
-        hidden, solved = solve_hidden(network, q[None], from_area[None], jnp.ones(1), z, config)
+        one_case = q[None], from_area[None]
+        hidden, solved = solve_hidden(network, one_case, jnp.ones(1), z, config)
         return hidden[0], solved[0]
 
     def one_pass(_: int, before: _InSpace) -> _InSpace:
@@ -131,8 +132,8 @@ def _couple(
         if config.flow.steps is None:
             hidden, solved = solve_one(inflow, from_area)
         else:  # without step control the cases do not influence each other
-            weight = jnp.ones(n_cases)
-            hidden, solved = solve_hidden(network, inflow, from_area, weight, z, config)
+            every_case = inflow, from_area
+            hidden, solved = solve_hidden(network, every_case, jnp.ones(n_cases), z, config)
         flow = jnp.concatenate([distance, jnp.moveaxis(hidden, 2, 1)], axis=1)
         slope = flow_slope(flow, z)
         initial = (

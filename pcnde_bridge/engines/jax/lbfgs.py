@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from pcnde_bridge._typing import Array
-from pcnde_bridge.engines.types import Objective
+from pcnde_bridge.engines.types import Objective, OnIterate
 
 
 def lbfgs_of_scipy(
-    objective: Objective,
-    start: Array,
-    memory: int,
-    iterations: int,
-    on_iteration: Callable[[Array, float], None],
+    objective: Objective, start: Array, memory: int, iterations: int, on_iterate: OnIterate
 ) -> None:
     """See :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
     from scipy.optimize import OptimizeResult, minimize
 
     def callback(intermediate_result: OptimizeResult) -> None:
-        on_iteration(intermediate_result.x.copy(), float(intermediate_result.fun))
+        on_iterate(intermediate_result.x.copy(), float(intermediate_result.fun))
 
     limits = {"maxiter": iterations, "maxfun": 20 * iterations, "maxcor": memory}
     options = {**limits, "ftol": 0.0, "gtol": 0.0}

@@ -5,7 +5,6 @@ Julia starts when a :class:`JuliaEngine` is created, not when this module is imp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -17,7 +16,7 @@ from pcnde_bridge.engines.julia.stage import JuliaStage
 from pcnde_bridge.engines.parameters import STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import ModelInputs, Objective, Solution
+from pcnde_bridge.engines.types import ModelInputs, Objective, OnIterate, Solution
 
 
 class JuliaEngine(Engine):
@@ -57,7 +56,7 @@ class JuliaEngine(Engine):
         start: Array,
         memory: int,
         iterations: int,
-        on_iteration: Callable[[Array, float], None],
+        on_iterate: OnIterate,
     ) -> None:
         """Run Optim's ``LBFGS``."""
 
@@ -66,7 +65,7 @@ class JuliaEngine(Engine):
             array[0], array[1:] = objective(x.to_numpy())
 
         def after_iteration(x: Any, loss: float) -> None:
-            on_iteration(x.to_numpy(), float(loss))
+            on_iterate(x.to_numpy(), float(loss))
 
         self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
 
