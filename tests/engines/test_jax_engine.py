@@ -274,6 +274,16 @@ def test_loss_is_the_mean_square_and_padding_does_not_count(
         for i in (0, 3, 6)
     ]
     np.testing.assert_allclose(gradient, np.mean([g for _, g in parts], axis=0), rtol=1e-5)
+    padded = getattr(engine, stage).losses(vector[None], inputs, target, grid, TIGHT)
+    assert padded == pytest.approx([loss], rel=1e-12)
+    fit = getattr(engine, stage).fit(vector, inputs, target, grid, TIGHT, 1)
+    descent = fit.parameters - vector  # along the gradient
+    np.testing.assert_allclose(
+        descent / np.linalg.norm(descent),
+        -gradient / np.linalg.norm(gradient),
+        rtol=1e-6,
+        atol=1e-9,
+    )
 
 
 def test_sum_of_squares_is_the_published_codes_loss(engine, grid, parameters, small_cases):
@@ -316,7 +326,7 @@ def test_one_shape_is_compiled_once(engine, grid, parameters, small_cases):
     stage = type(engine)().fourier_area
     for count in (9, 12, 10, 12):
         inputs, target = stage_case("fourier_area", small_cases.select(slice(0, count)))
-        loss_and_gradient_of(stage, parameters.fourier_area, inputs, target, grid, PAPER)
+        stage.fit(parameters.fourier_area, inputs, target, grid, PAPER, 1)
     assert stage._value_and_gradient._cache_size() == 1
 
 

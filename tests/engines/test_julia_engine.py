@@ -189,7 +189,7 @@ def test_a_julia_that_may_crash_gives_a_warning(bare, monkeypatch):
 def test_variables_come_before_the_file(bare, monkeypatch):
     settings_file(executable="/nowhere/julia", project="/nowhere")
     monkeypatch.setenv("PYTHON_JULIACALL_EXE", str(fake_julia(bare)))
-    assert "set together" in julia_status().message
+    assert "together, or neither" in julia_status().message
     monkeypatch.setenv("PYTHON_JULIACALL_PROJECT", str(fake_project(bare, "PCNDECore")))
     status = julia_status()
     assert not status.usable and status.source == "environment"

@@ -210,10 +210,8 @@ def in_batches(
                 "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
                 "resemble the training data."
             )
-        # Copies, because JAX's own arrays are read-only.
-        batches.append([np.array(np.asarray(r)[:count]) for r in results])
-    if len(batches) == 1:
-        return tuple(batches[0])
+        batches.append([np.asarray(r)[:count] for r in results])
+    # Copies, because JAX's own arrays are read-only.
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
 
 

@@ -183,10 +183,7 @@ def _read_settings(status: JuliaStatus) -> dict[str, str]:
     else:
         given = [name for name in (EXECUTABLE, PROJECT) if os.environ.get(name)]
         if len(given) == 1:
-            raise EngineUnavailableError(
-                f"{EXECUTABLE} and {PROJECT} must be set together: set the other one too, or "
-                "neither."
-            )
+            raise EngineUnavailableError(f"Set {EXECUTABLE} and {PROJECT} together, or neither.")
         named = {} if given else _read_file(status)
         variables |= named | os.environ
     if variables.get(EXECUTABLE):

@@ -184,18 +184,14 @@ def start() -> types.ModuleType:
     if not (status.usable or status.installable or is_running):
         raise EngineUnavailableError(status.message)
     if status.threads != "1" and status.handle_signals == "no":
-        if not is_running:
-            raise EngineUnavailableError(
-                f"Julia with {status.threads} threads must handle signals, otherwise the process "
-                f"crashes: unset {SIGNALS}, or set {THREADS}=1."
-            )
-        warnings.warn(
-            f"Julia was already started by another package with {status.threads} threads but "
-            "without its signals, and may crash. Create the pcnde_bridge engine first, or set "
-            f"{SIGNALS}=yes.",
-            PCNDEWarning,
-            stacklevel=6,
+        problem = (
+            f"Julia with {status.threads} threads must handle signals, otherwise the process may "
+            f"crash: set {SIGNALS}=yes or {THREADS}=1 before pcnde_bridge, or another package, "
+            "starts Julia."
         )
+        if not is_running:
+            raise EngineUnavailableError(problem)
+        warnings.warn(problem, PCNDEWarning, stacklevel=6)
     os.environ.update(status.environment)
     try:
         import juliacall
