@@ -98,10 +98,7 @@ class JaxStage(Stage):
     ) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         # Cases of weight 0 are retained, so that all selections share one compilation.
-        with double_precision():
-            arrays = tuple(inputs), weight.astype(float), target
-            data = *jax.tree.map(jnp.asarray, arrays), on_device(grid)
-        return self._objective(data, config)
+        return self._objective(_data(inputs, weight, target, grid), config)
 
     def fit(
         self,
@@ -153,15 +150,9 @@ class JaxStage(Stage):
 
         return jax.vmap(one)(*inputs)
 
-    def _loss(
-        self,
-        parameters: jax.Array,
-        inputs: Inputs,
-        weight: jax.Array,
-        target: jax.Array,
-        grid: GridArrays,
-        config: PCNDEConfig,
-    ) -> jax.Array:
+    def _loss(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
+        """Return the loss; the data are those of :func:`_data`."""
+        inputs, weight, target, grid = data
         # In the step control every case with a positive weight counts alike.
         counted = (weight > 0).astype(weight.dtype)
         predicted, solved = self._model(parameters, inputs, counted, grid, config)
@@ -201,7 +192,7 @@ def in_batches(
     for start in range(0, len(arrays[0]), _LARGEST_BATCH):
         part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
         count = len(part[0])
-        results, solved = compute(_padded(part))
+        results, solved = compute(jax.tree.map(jnp.asarray, _padded(part)))
         failed = np.flatnonzero(~np.asarray(solved)[:count])
         if failed.size:
             raise SolveError(
@@ -220,12 +211,18 @@ def on_device(grid: Grid) -> GridArrays:
     return jnp.asarray(grid.z), jnp.asarray(grid.period)
 
 
-def _fit_data(inputs: StageInputs, target: Array, grid: Grid) -> tuple[Any, ...]:
-    """Return padded inputs, weights and target, and the grid, as JAX arrays."""
-    weight = np.arange(_rounded_up(len(target))) < len(target)
+def _data(inputs: StageInputs, weight: Array, target: Array, grid: Grid) -> tuple[Any, ...]:
+    """Return inputs, weights and target, and the grid, as JAX arrays."""
     with double_precision():
-        *arrays, padded_target = _padded((*inputs, target))
-        return tuple(arrays), jnp.asarray(weight, dtype=float), padded_target, on_device(grid)
+        arrays = tuple(inputs), weight.astype(float), target
+        return *jax.tree.map(jnp.asarray, arrays), on_device(grid)
+
+
+def _fit_data(inputs: StageInputs, target: Array, grid: Grid) -> tuple[Any, ...]:
+    """Return the data of :func:`_data`, padded with cases of weight 0."""
+    weight = np.where(np.arange(_rounded_up(len(target))) < len(target), 1.0, 0.0)
+    *arrays, padded_target = _padded((*inputs, target))
+    return _data(tuple(arrays), weight, padded_target, grid)
 
 
 def _rounded_up(count: int) -> int:
@@ -233,8 +230,8 @@ def _rounded_up(count: int) -> int:
     return power * 3 // 4 if power >= 4 and count <= power * 3 // 4 else power
 
 
-def _padded(arrays: tuple[Array, ...]) -> Inputs:
+def _padded(arrays: tuple[Array, ...]) -> tuple[Array, ...]:
     """Repeat the last case up to the next compiled size."""
     count = arrays[0].shape[0]
     missing = _rounded_up(count) - count
-    return tuple(jnp.asarray(np.concatenate([a, np.repeat(a[-1:], missing, 0)])) for a in arrays)
+    return tuple(np.concatenate([a, np.repeat(a[-1:], missing, 0)]) for a in arrays)
