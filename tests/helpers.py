@@ -57,7 +57,7 @@ CONFIG = PHYSICS.replace(wall={"law": "membrane"}, correction={"hidden": (4,)} |
 STRAIGHT = np.full(41, 0.125)
 RADIUS = np.sqrt(0.125 / np.pi)
 MEMBRANE = np.array([1.0e6, 0.45, 0.2, 1.0, 2.0e3])
-LOSSES = np.array([1.2, 1.1, 0.9, 0.12])
+LOSSES = np.array([1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7])
 OUTLET = np.array([1.0e5, 0.0, 0.0, 5.0e3])
 # κ, ceiling and two scales, then the network's weights: g = 0, and g between 0 and 0.8.
 OFF = np.concatenate([[1.3, 0.0, 1.0e6, 1.0], np.zeros(17)])

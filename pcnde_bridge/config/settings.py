@@ -366,19 +366,38 @@ class OutletClosure(Section):
 class LossClosure(Section):
     """Pressure losses along the vessel; values of None are trained.
 
+    The equations are those of :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`.
+
     Attributes
     ----------
-    friction, inertia, convection : float or None
-        c_f, c_i and c_m of :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`; 1 means
-        Poiseuille's friction and the momentum of a flat profile.
-    jet_spread : float or None
-        Growth of the radius of a free jet per length.
+    friction, inertia : float or None
+        c_f and c_i; 1 means Poiseuille's friction and the inertia of a flat profile.
+    core : float or None
+        c_c, factor of the dynamic pressure of the core; 1 means Bernoulli's equation.
+    layer_growth : float or None
+        c_g, growth of the boundary layer by viscosity; 1 means a quadratic profile.
+    jet_momentum : float or None
+        β, momentum of the flow that fills the vessel over that of a uniform flow.
+    jet_recovery : float or None
+        c_j, factor of the pressure that the jet recovers.
+    jet_friction : float or None
+        c_s, friction of separated flow over Poiseuille's.
+    jet_spread, jet_viscous_spread : float or None
+        s and s_ν, growth of the jet's radius by turbulence and by viscosity.
+    jet_lag : float or None
+        λ, lag of the jet behind the flow; 1 means that its fluid keeps its speed.
     """
 
     friction: float | None = positive(None)
     inertia: float | None = positive(None)
-    convection: float | None = positive(None)
+    core: float | None = positive(None)
+    layer_growth: float | None = positive(None)
+    jet_momentum: float | None = positive(None)
+    jet_recovery: float | None = positive(None)
+    jet_friction: float | None = positive(None)
     jet_spread: float | None = positive(None)
+    jet_viscous_spread: float | None = positive(None)
+    jet_lag: float | None = positive(None)
 
 
 @dataclass(frozen=True)

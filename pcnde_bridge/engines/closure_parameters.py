@@ -2,7 +2,8 @@
 
 ========================  ============================================================
 ``outlet``                R₁, R₂ (dyn·s/cm⁵), C (cm⁵/dyn), p_d (dyn/cm²)
-``losses``                c_f, c_i, c_m, jet spread
+``losses``                c_f, c_i, c_c, c_g, β, c_j, c_s, s, s_ν, λ: see
+                          :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`
 ``wall``                  membrane: K (dyn/cm), ν, shear ratio, support (1/cm²), p₀;
                           tube law: K (dyn/cm²), exponent m, p₀ (dyn/cm²)
 ``correction``            κ, ceiling c, scale of ∂p/∂t (dyn/cm²/s), scale of Q (mL/s), then the
@@ -39,7 +40,7 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
     widths = (2, *config.correction.hidden, 1)
     return {
         "outlet": 4,
-        "losses": 4,
+        "losses": 10,
         "wall": 5 if config.wall.law == "membrane" else 3,
         "correction": CORRECTION_SCALARS + network_size(widths),
     }

@@ -126,9 +126,19 @@ class Closures(Protocol):
     """
 
     def losses(
-        self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
+        self,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
     ) -> Problem:
         """Prepare the pressure losses of a given flow.
+
+        Parameters
+        ----------
+        flow, flow_rate : arrays of shape (case, time, z)
+            Q, mL/s, and ∂Q/∂t, mL/s², at any time points.
 
         Returns
         -------

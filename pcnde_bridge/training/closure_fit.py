@@ -12,18 +12,22 @@ from functools import lru_cache
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.indices import measuring_positions, values_at
 from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
 from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
 
-_WALL_TIMES = 25
-"""Time points on which the wall is fitted: it follows the pressure at once, so few do."""
+_TIMES = 25
+"""Time points on which losses and wall are fitted: without memory, few are enough."""
+
+_DROP_WEIGHT = 10.0
+"""Weight of the drop across the stenosis, relative to the pressure at one point."""
 
 _FLOW_POINTS = 5
 """Points, beside the inlet, on which the flow is compared: it is smooth along the vessel."""
@@ -48,8 +52,14 @@ _UNBOUNDED = -np.inf, np.inf
 _LOSSES: dict[str, _Bounded] = {
     "friction": (1.0, 0.01, 100.0),
     "inertia": (1.0, 0.01, 100.0),
-    "convection": (1.0, 0.01, 100.0),
-    "jet_spread": (0.1, 1e-3, 10.0),
+    "core": (1.0, 0.1, 10.0),
+    "layer_growth": (1.3, 0.05, 20.0),
+    "jet_momentum": (4 / 3, 0.5, 3.0),
+    "jet_recovery": (1.2, 0.1, 10.0),
+    "jet_friction": (1.2, 0.01, 100.0),
+    "jet_spread": (0.01, 1e-4, 10.0),
+    "jet_viscous_spread": (3.5, 1e-3, 100.0),
+    "jet_lag": (0.7, 1e-3, 5.0),
 }
 _MEMBRANE: dict[str, _Bounded] = {
     "poisson": (0.45, 0.0, 0.5),
@@ -120,10 +130,27 @@ def _fit_windkessel(
 def fit_losses(
     closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
-    """Fit friction, inertia, convection and jet spread to p − p(L), with the reference flow."""
-    target = cases.pressure - cases.pressure[:, :, -1:]
-    problem = closures.losses(cases.flow, cases.area_undeformed, cases.grid, config)
-    residual = _relative(problem, target, float(np.linalg.norm(cases.pressure)))
+    """Fit the losses to p − p(L) and to the drop across the stenosis, with the reference flow."""
+    times = _few_times(cases)
+    flow_rate = np.moveaxis(rate(np.moveaxis(cases.flow, 1, -1), cases.period), -1, 1)[:, times]
+    flow, pressure = cases.flow[:, times], cases.pressure[:, times]
+    problem = closures.losses(flow, flow_rate, cases.area_undeformed, cases.grid, config)
+    target = pressure - pressure[:, :, -1:]
+    along_vessel = _relative(problem, target, float(np.linalg.norm(target)))
+    # Weights of the points in the drop of each case.
+    points = np.broadcast_to(np.eye(cases.n_points), (len(cases), cases.n_points, cases.n_points))
+    proximal, distal = measuring_positions(cases.z, cases.area_undeformed)
+    drop = values_at(points, cases.z, proximal) - values_at(points, cases.z, distal)
+
+    def residual(x: Array) -> tuple[Array, Array]:
+        error, jacobian = along_vessel(x)
+        drop_error = _DROP_WEIGHT * np.einsum("ctz,cz->ct", error, drop)
+        drop_jacobian = _DROP_WEIGHT * np.einsum("ctzn,cz->ctn", jacobian, drop)
+        return (
+            np.concatenate([error.ravel(), drop_error.ravel()]),
+            np.concatenate([a.reshape(-1, x.size) for a in (jacobian, drop_jacobian)]),
+        )
+
     given = [getattr(config.losses, name) for name in _LOSSES]
     evaluations = config.correction.evaluations
     return _solve(residual, list(_LOSSES.values()), given, evaluations, on_iteration)
@@ -133,7 +160,7 @@ def fit_wall(
     closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit the wall parameters to S, with the reference pressure."""
-    times = np.unique(np.linspace(0, cases.n_times - 1, _WALL_TIMES).astype(int))
+    times = _few_times(cases)
     pressure, target = cases.pressure[:, times], cases.area[:, times]
     problem = closures.area(pressure, cases.area_undeformed, cases.grid, config)
     # Stiffness and zero pressure start from a quarter of the length, where the vessel is wide.
@@ -237,6 +264,11 @@ def fit_correction(
     starts = [(start, *_UNBOUNDED) for start in first]
     given = [settings.storage, *first[1:CORRECTION_SCALARS], *[None] * n_weights]
     return _solve(residual, starts, given, evaluations, on_iteration)
+
+
+def _few_times(cases: Cases) -> IntArray:
+    """Return the time points on which losses and wall are fitted."""
+    return np.unique(np.linspace(0, cases.n_times - 1, _TIMES).astype(int))
 
 
 def _relative(problem: Problem, target: Array, scale: float) -> Problem:

@@ -31,10 +31,15 @@ class JuliaClosures(Closures):
         self._buffers = Buffers()
 
     def losses(
-        self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
+        self,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return self._problem("losses", (flow, area_undeformed), grid, config)
+        return self._problem("losses", (flow, flow_rate, area_undeformed), grid, config)
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig

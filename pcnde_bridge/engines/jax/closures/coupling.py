@@ -55,7 +55,7 @@ _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 class VesselModes(NamedTuple):
     """Functions of z of one vessel, which sum up to flow, area and pressure.
 
-    They are the factors of the functions of time of :class:`Coupled`, with k = 10 modes of the
+    They are the factors of the functions of time of :class:`Coupled`, with k = 18 modes of the
     losses.
 
     Attributes
@@ -68,6 +68,8 @@ class VesselModes(NamedTuple):
         p₀, 1 and the losses' functions of z.
     flow_slope, area_slope : array of shape (k, z)
         Increase of the modes' rows of flow and area with the mean of P.
+    reference_flow : scalar
+        Q₀ of the losses, mL/s.
     """
 
     flow: jax.Array
@@ -75,6 +77,7 @@ class VesselModes(NamedTuple):
     pressure: jax.Array
     flow_slope: jax.Array
     area_slope: jax.Array
+    reference_flow: jax.Array
 
 
 class Coupled(NamedTuple):
@@ -91,7 +94,7 @@ class Coupled(NamedTuple):
     change : scalar
         Upper bound of the change of Q(L) in the last pass, mL/s.
     reverses : scalar
-        Whether flow reverses anywhere; otherwise the last three modes are zero.
+        Whether flow reverses anywhere; otherwise the last eight modes are zero.
     """
 
     flow: jax.Array
@@ -127,6 +130,7 @@ def vessel_modes(
         jnp.stack([wall[-1] * one, one, *pressure]),
         from_inlet(slope, z),
         slope,
+        coefficients.reference_flow,
     )
 
 
@@ -138,6 +142,7 @@ def couple(
     inflow: jax.Array,
     flow: jax.Array,
     flow_slope: jax.Array,
+    reference_flow: jax.Array,
     period: jax.Array,
     settings: CorrectionClosure,
     tolerance: float | None = None,
@@ -154,6 +159,8 @@ def couple(
         Q_in, mL/s.
     flow, flow_slope : array of shape (3 + k,) and (k,)
         :class:`VesselModes` of this case at the outlet.
+    reference_flow : scalar
+        Q₀ of the losses, mL/s.
     period : scalar
         s.
     settings : CorrectionClosure
@@ -181,7 +188,9 @@ def couple(
     passive_flow, passive_rate = signals(jnp.stack([passive, with_rate[1] * passive]))
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
-    linear = _linear_filling(total, with_rate[1], i_omega, mean_flow, mean_pressure)
+    linear = _linear_filling(
+        total, with_rate[1], i_omega, mean_flow / reference_flow, reference_flow, mean_pressure
+    )
     middle = (jnp.max(shown) + jnp.min(shown)) / 2
     solve = 1 / ((jnp.mean(shown) + middle) / 2 + kappa * linear)
 
@@ -191,7 +200,7 @@ def couple(
             jnp.concatenate([with_rates * (inflow_harmonics - harmonics), with_rate * harmonics])
         )
         stored, (p, p_rate) = tuple(found[:3]), tuple(found[3:].at[0].add(offset))
-        modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), stored)
+        modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), stored, reference_flow)
         return stored, (p, *modes), (p_rate, 2 * p * p_rate, *mode_rates)
 
     def one_pass(harmonics: jax.Array) -> jax.Array:
@@ -228,14 +237,21 @@ def _linear_filling(
     pressure_rate: jax.Array,
     i_omega: jax.Array,
     mean_flow: jax.Array,
+    reference_flow: jax.Array,
     mean_pressure: jax.Array,
 ) -> jax.Array:
-    """Return A(ω) from the volumes of P, P² and the modes, and from iω·𝒵(ω)."""
-    # The modes d, ∂d/∂t and q·d, which contain −y.
-    of_stored, of_rate = total[3], total[5]
-    of_product = jnp.where(mean_flow >= 0, total[7], total[10])
+    """Return A(ω) from the volumes of P, P² and the modes, and from iω·𝒵(ω).
+
+    ``mean_flow`` is relative to the reference flow.
+    """
+    stored, modes = total[3], total[4:].reshape(2, losses.DIRECTED)
+    size, forward = jnp.abs(mean_flow), mean_flow >= 0
+    # The modes that contain −y: d, f'(q)·d, q·d and ∂d/∂t.
+    directed = jnp.where(forward, modes[0], -modes[1])
+    slope = losses.rational_slope(size)
+    linear = (directed[1] + slope * directed[3] + size * directed[5]) / reference_flow
     result: jax.Array = pressure_rate * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
-        of_stored + of_product * mean_flow + i_omega * of_rate
+        linear + i_omega * stored
     )
     return result
 

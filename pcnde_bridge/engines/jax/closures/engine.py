@@ -21,7 +21,7 @@ from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.coupling import Coupled, VesselModes, couple, vessel_modes
-from pcnde_bridge.engines.jax.closures.pressure_losses import REVERSED
+from pcnde_bridge.engines.jax.closures.pressure_losses import DIRECTED
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
@@ -44,10 +44,15 @@ class JaxClosures(Closures):
         self._buffers = Buffers()
 
     def losses(
-        self, flow: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
+        self,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return _problem(_losses, (flow, area_undeformed), (grid.z, grid.period), config)
+        return _problem(_losses, (flow, flow_rate, area_undeformed), (grid.z,), config)
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
@@ -93,7 +98,7 @@ class JaxClosures(Closures):
             rows = slice(start, start + _BATCH)
             batch: VesselModes = jax.tree.map(lambda modes: modes[which[rows]], vessels)
             at_outlet = batch.flow[:, :, -1], batch.flow_slope[:, :, -1]
-            cases = shift[rows], inflow[rows], *at_outlet
+            cases = shift[rows], inflow[rows], *at_outlet, batch.reference_flow
             coupled = _couple_batch(parameters, cases, grid.period, settings)
             _write_fields(coupled, batch, *(field[rows] for field in result if field is not None))
             return np.asarray(coupled.change)
@@ -153,7 +158,7 @@ def _write_fields(
     NumPy's matrix product, one per case, writes directly into the output.
     """
     # The last modes are zero without reversed flow.
-    rows = vessels.flow.shape[1] - (0 if np.any(coupled.reverses) else REVERSED)
+    rows = vessels.flow.shape[1] - (0 if np.any(coupled.reverses) else DIRECTED)
     mean = coupled.mean_pressure[:, None, None]
     of_flow, of_area = (a[:, :rows].transpose(0, 2, 1) for a in (coupled.flow, coupled.area))
     for in_time, in_z, slope, out in (
@@ -184,8 +189,8 @@ def _relevant(config: ClosureConfig) -> ClosureConfig:
 
 
 def _losses(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
-    (flow, s), (z, period) = case, fixed
-    return losses.drop(parameters, flow, s, z, period, config.physics)
+    (flow, flow_rate, s), (z,) = case, fixed
+    return losses.drop(parameters, flow, flow_rate, s, z, config.physics)
 
 
 def _area(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
@@ -197,7 +202,7 @@ def _area(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
 def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
     (vessel, inflow), (outlet, wall, points, period) = case, fixed
     vectors = outlet, wall, parameters
-    at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1]
+    at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
     coupled = couple(*vectors, jnp.zeros(()), inflow, *at_outlet, period, config.correction)
     in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
     result: jax.Array = coupled.flow.T @ in_z[:, points]
@@ -258,11 +263,14 @@ def _problem(
 def _couple(
     vectors: tuple[Any, ...], cases: tuple[Any, ...], period: Any, config: ClosureConfig
 ) -> Coupled:
-    """Couple cases, given by shift, inflow, and the vessel's modes at the outlet."""
+    """Couple cases: shift, inflow, the vessel's modes at the outlet and reference flow."""
     outlet, wall, correction = vectors
     settings = period, config.correction, _SETTLED
 
-    def one(shift: jax.Array, inflow: jax.Array, flow: jax.Array, flow_slope: jax.Array) -> Coupled:
-        return couple(outlet, wall, correction, shift, inflow, flow, flow_slope, *settings)
+    def one(
+        shift: jax.Array, inflow: jax.Array, flow: jax.Array, slope: jax.Array, reference: jax.Array
+    ) -> Coupled:
+        case = shift, inflow, flow, slope, reference
+        return couple(outlet, wall, correction, *case, *settings)
 
     return jax.vmap(one)(*cases)

@@ -1,71 +1,104 @@
 r"""Pressure difference between a point and the outlet, from the momentum of the flow.
 
-The momentum balance of the cross-section, with a free jet behind every narrowing, is
+A boundary layer develops through every narrowing, and a jet behind it
+(:mod:`~pcnde_bridge.engines.jax.closures.boundary_layer`).  Along an interval Δz the pressure of a
+steady flow Q falls by
 
-    −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
+    c_c·ρ/2·Δ(U²) + φ·Δz,    U = Q/(S_u·m(d)),    where the flow fills a narrowing vessel,
+    c_j·ρ·Q²/S_u·Δ(1/A_j) + φ·Δz                  elsewhere,
 
-The area A_j(z) that carries the flow is S_u where the vessel narrows or widens
-slowly.  Where it widens faster the flow separates, and the jet's radius grows by the
-spread s per unit length (about 0.1 for a free turbulent jet) until it fills
-the vessel again:
+with a friction φ of c_f·4μU·d⁶/r_u² where the flow fills the vessel, and of c_s·8πμQ/S_u²
+where it is separated: in a straight vessel the first is c_f times Poiseuille's.  For
+a sudden expansion the second line is the loss of Borda and Carnot, and the pressure drop that is
+not recovered has the form of Seeley and Young's turbulent term.  For reversed flow the vessel
+is mirrored.
 
-    √(A_j(z)/π) = min over z' ≤ z of √(S_u(z')/π) + s·(z − z').
+The drop is computed at three Reynolds numbers of the inlet, and interpolated by
 
-For a sudden expansion this is the Borda–Carnot loss; the pressure drop that is not
-recovered has the form of Seeley and Young's turbulent term.  The positions of stenoses follow
-from S_u; there may be none, or several.  In a straight vessel A_j = S_u is constant and the
-third term is zero.  Where the flow fills a vessel that narrows and widens again its integral is
-zero: the pressure is recovered.  For reversed flow the jet has the opposite direction.
+    D(z, Q) = D₁(z)·x + D₂(z)·x²/(1 + x) + D₃(z)·x²,    x = |Q|/Q₀,
+
+where Q₀ has a Reynolds number of 60.  An unsteady flow adds c_i·ρ/S_u·∂Q/∂t per length, and the
+lag of the jet, whose fluid left the throat earlier:
+
+    −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz].
 
 With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) = q − Q(L) the flow stored by the
-wall and ξ(z) the share of the storage before z, the pressure is a sum of a few
-products of a function of z and a function of t.
+wall and ξ(z) the share of the storage before z, the pressure is a sum of products of a function of
+z and a function of t; in the second term of D only the first order in d is included.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pcnde_bridge.config.settings import Physics
+from pcnde_bridge.engines.jax.closures.boundary_layer import along_vessel, mean_speed
 from pcnde_bridge.engines.jax.closures.integrals import summed_from_inlet, to_outlet
-from pcnde_bridge.engines.shared_terms import rate
 
 _Signals = tuple[jax.Array, ...]
 """Functions of time."""
 
-REVERSED = 3
-"""Number of the last modes, which are zero without reversed flow."""
+_REYNOLDS = 60.0
+"""Reynolds number 2Q/(πνr) of the reference flow Q₀ at the inlet."""
+
+_FLOWS = np.array([0.5, 2.0, 8.0])
+"""Flows at which the steady drop is computed, over Q₀."""
+
+_TO_FACTORS = np.linalg.inv(np.stack([_FLOWS, _FLOWS**2 / (1 + _FLOWS), _FLOWS**2], axis=1))
+"""Matrix (3, 3) from the drops at these flows to D₁, D₂, D₃."""
+
+DIRECTED = 8
+"""Number of modes of one direction; the last ones are zero without reversed flow."""
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of the three terms, per length.
+    """Coefficients of the pressure losses of one vessel.
 
     Attributes
     ----------
-    friction, inertia : array of shape (z,)
-        Factors of Q and ∂Q/∂t.
-    jet, jet_back : array of shape (z − 1,)
-        Factors of Q², integrated over each interval, for Q > 0 and for Q < 0.
+    reference_flow : scalar
+        Q₀, mL/s.
+    inertia : array of shape (z,)
+        Factor of ∂Q/∂t, per length.
+    forward, back : array of shape (4, z − 1)
+        D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over each interval, for
+        Q > 0 and, with the sign of a drop in the direction of z, for Q < 0.
     """
+
+    reference_flow: jax.Array
+    inertia: jax.Array
+    forward: jax.Array
+    back: jax.Array
+
+
+class _Parameters(NamedTuple):
+    """Parameters of the losses in the order of their vector."""
 
     friction: jax.Array
     inertia: jax.Array
-    jet: jax.Array
-    jet_back: jax.Array
+    core: jax.Array
+    layer_growth: jax.Array
+    jet_momentum: jax.Array
+    jet_recovery: jax.Array
+    jet_friction: jax.Array
+    jet_spread: jax.Array
+    jet_viscous_spread: jax.Array
+    jet_lag: jax.Array
 
 
 def coefficients(
     parameters: jax.Array, area_undeformed: jax.Array, z: jax.Array, physics: Physics
 ) -> Coefficients:
-    """Compute the coefficients of the three terms.
+    """Compute the coefficients of one vessel.
 
     Parameters
     ----------
-    parameters : array of shape (4,)
-        c_f, c_i, c_m and the spread s.
+    parameters : array of shape (10,)
+        c_f, c_i, c_c, c_g, β, c_j, c_s, s, s_ν and λ.
     area_undeformed : array of shape (z,)
         S_u, cm².
     z : array of shape (z,)
@@ -73,88 +106,142 @@ def coefficients(
     physics : Physics
         ρ and μ.
     """
-    friction, inertia, convection, spread = parameters
-    steps = jnp.diff(z)
-    # With this mean the intervals with A_j = S_u add up to the change of 1/(2·S_u²) exactly.
-    between = (1 / area_undeformed[1:] + 1 / area_undeformed[:-1]) / 2
+    p = _Parameters(*parameters)
+    kinematic = jnp.pi * physics.viscosity / physics.density
+    radius = jnp.sqrt((area_undeformed[0] + area_undeformed[-1]) / (2 * jnp.pi))
+    reference = _REYNOLDS / 2 * kinematic * radius
+    forward = _directed(p, area_undeformed, z, reference, physics)
+    back = _directed(p, area_undeformed[::-1], z[-1] - z[::-1], reference, physics)[:, ::-1]
+    return Coefficients(reference, p.inertia * physics.density / area_undeformed, forward, -back)
 
-    def jet(area: jax.Array, dz: jax.Array) -> Any:
-        return convection * (physics.density * jnp.diff(1 / jet_area(area, dz, spread)))
 
-    return Coefficients(
-        friction * 8 * jnp.pi * physics.viscosity / area_undeformed**2,
-        inertia * physics.density / area_undeformed,
-        jet(area_undeformed, steps) * between,
-        -jet(area_undeformed[::-1], steps[::-1])[::-1] * between,
+def _directed(
+    p: _Parameters, area: jax.Array, z: jax.Array, reference: jax.Array, physics: Physics
+) -> jax.Array:
+    """Return the drops over each interval of a flow in the direction of z, (4, z − 1)."""
+    density, viscosity = physics.density, physics.viscosity
+    flow = (reference * _FLOWS)[:, None]
+    layer, jet = along_vessel(
+        area,
+        z,
+        jnp.pi * viscosity / density / flow[:, 0],
+        p.layer_growth,
+        p.jet_momentum,
+        p.jet_spread,
+        p.jet_viscous_spread,
     )
+    steps = jnp.diff(z)
+    filled = jet >= area / p.jet_momentum
+    core = flow / (area * mean_speed(layer))
+    attached = p.friction * 4 * jnp.pi * viscosity * core * layer**6 / area
+    separated = p.jet_friction * 8 * jnp.pi * viscosity * flow / area**2
+    friction = _middle(jnp.where(filled, attached, separated)) * steps
+    # With this mean the intervals that the flow fills add up to the change of 1/(2·S_u²) exactly.
+    per_area = density * _middle(1 / area)
+    accelerated = p.core * density / 2 * jnp.diff(core**2)
+    mixed = p.jet_recovery * flow**2 * per_area * jnp.diff(1 / jet)
+    narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
+    factors = _TO_FACTORS @ (jnp.where(narrows, accelerated, mixed) + friction)
+    lag = (1 / jet - p.jet_momentum / area) * summed_from_inlet(
+        _middle(jnp.where(filled, 0, jet)) * steps
+    )
+    # The lag is that of the middle one of the flows.
+    return jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
 
 
-def jet_area(area_undeformed: jax.Array, steps: jax.Array, spread: jax.Array) -> jax.Array:
-    """Return A_j (z,), cm², of a flow in the direction of z; ``steps`` (z − 1,) in cm.
+def _middle(values: jax.Array) -> jax.Array:
+    """Return the mean of neighboring points, (..., z − 1)."""
+    return (values[..., 1:] + values[..., :-1]) / 2
 
-    It is the smallest of all jets that could start upstream.
-    """
-    reach = spread * summed_from_inlet(steps)
-    begins = jnp.sqrt(area_undeformed / jnp.pi) - reach
-    narrowest = jax.lax.cummin(begins)
-    # Exactly S_u where the flow fills the vessel: a straight vessel has no jet at all.
-    return jnp.where(narrowest == begins, area_undeformed, jnp.pi * (reach + narrowest) ** 2)
+
+def _steady(flow: jax.Array) -> _Signals:
+    """Return x, x²/(1 + x) and x² of x = |Q|/Q₀."""
+    return flow, flow**2 / (1 + flow), flow**2
 
 
 def drop(
     parameters: jax.Array,
     flow: jax.Array,
+    flow_rate: jax.Array,
     area_undeformed: jax.Array,
     z: jax.Array,
-    period: jax.Array,
     physics: Physics,
 ) -> jax.Array:
-    """Return p − p(L), (time, z), of a given flow Q (time, z)."""
+    """Return p − p(L), (time, z), of a given flow Q and its rate, both (time, z)."""
     c = coefficients(parameters, area_undeformed, z, physics)
-    middle = (flow[:, 1:] + flow[:, :-1]) / 2
-    jets = jnp.where(middle > 0, c.jet, c.jet_back) * middle**2
-    summed = summed_from_inlet(jets)
-    smooth = c.friction * flow + c.inertia * rate(flow.T, period, jnp).T
-    return to_outlet(smooth, z) + summed[:, -1:] - summed
+    x = _middle(flow) / c.reference_flow
+    functions = jnp.stack([*_steady(jnp.abs(x)), jnp.sign(x) * _middle(flow_rate)])
+    factors = jnp.where(x > 0, c.forward[:, None], c.back[:, None])
+    summed = summed_from_inlet(jnp.sum(factors * functions, axis=0))
+    return to_outlet(c.inertia * flow_rate, z) + summed[:, -1:] - summed
 
 
 def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array:
-    """Return the functions of z, (10, z), for :func:`modes_in_time`; ``share`` (z,) is ξ."""
-    between = (share[1:] + share[:-1]) / 2
-    smooth = (c.friction, -c.friction * share, c.inertia, -c.inertia * share)
-    jets = tuple(
-        summed_from_inlet(b * factor)
-        for b in (c.jet, c.jet_back)
-        for factor in (jnp.ones_like(between), -2 * between, between**2)
+    """Return the functions of z, (18, z), for :func:`modes_in_time`; ``share`` (z,) is ξ."""
+    between = _middle(share)
+    inertia = (to_outlet(f, z) for f in (c.inertia, -c.inertia * share))
+    directed = (
+        summed_from_inlet(piece)
+        for linear, rational, square, lag in (c.forward, c.back)
+        for piece in (
+            linear,
+            -linear * between,
+            rational,
+            -rational * between,
+            square,
+            -2 * square * between,
+            square * between**2,
+            lag,
+        )
     )
-    return jnp.stack([*(to_outlet(f, z) for f in smooth), *(j[-1] - j for j in jets)])
+    return jnp.stack([*inertia, *(d[-1] - d for d in directed)])
 
 
-def modes_in_time(inflow: _Signals, stored: _Signals) -> tuple[_Signals, _Signals]:
-    """Return the functions of time, ten of (time,), and their rates.
+def modes_in_time(
+    inflow: _Signals, stored: _Signals, reference_flow: jax.Array
+) -> tuple[_Signals, _Signals]:
+    """Return the functions of time, 18 of (time,), and their rates.
 
-    They are q, d, ∂q/∂t, ∂d/∂t, then q², q·d, d² where the flow is forward, then the
-    same where it is reversed.  The direction is that of q − d/2, in the middle of the
-    storage: where directions differ along the vessel, the flow and the jet's term are nearly
-    zero.
+    They are ∂q/∂t, ∂d/∂t, then for forward flow, with q and d over Q₀ and f = q²/(1 + q),
+    q, d, f, f'(q)·d, q², q·d, d² and ∂q/∂t, then the same of −q and −d where the flow is reversed.
+    The direction is that of q − d/2, in the middle of the storage: where directions differ along
+    the vessel, the flow and these terms are nearly zero.
 
     Parameters
     ----------
     inflow, stored : three arrays of shape (time,)
-        q and d with their first and second rates.
+        q and d, mL/s, with their first and second rates.
+    reference_flow : scalar
+        Q₀, mL/s.
     """
-    q, q1, q2 = inflow
-    d, d1, d2 = stored
-    linear, linear_rates = (q, d, q1, d1), (q1, d1, q2, d2)
-    squares = q * q, q * d, d * d
-    square_rates = 2 * q * q1, q1 * d + q * d1, 2 * d * d1
-    forward = goes_forward(q, d).astype(q.dtype)
-    back = 1 - forward
+    forward = goes_forward(inflow[0], stored[0]).astype(inflow[0].dtype)
+    sign = 2 * forward - 1
+    q, q1 = (sign * s / reference_flow for s in inflow[:2])
+    d, d1 = (sign * s / reference_flow for s in stored[:2])
+    # Where the directions differ along the vessel, q may have the other sign.
+    size = jnp.maximum(q, 0)
+    f, slope, bend = size**2 / (1 + size), rational_slope(size), 2 / (1 + size) ** 3
+    values = q, d, f, slope * d, q * q, q * d, d * d, sign * inflow[1]
+    rates = (
+        q1,
+        d1,
+        slope * q1,
+        bend * q1 * d + slope * d1,
+        2 * q * q1,
+        q1 * d + q * d1,
+        2 * d * d1,
+        sign * inflow[2],
+    )
 
-    def directed(products: _Signals) -> _Signals:
-        return *(forward * p for p in products), *(back * p for p in products)
+    def directed(signals: _Signals) -> _Signals:
+        return *(forward * s for s in signals), *((1 - forward) * s for s in signals)
 
-    return (*linear, *directed(squares)), (*linear_rates, *directed(square_rates))
+    return (inflow[1], stored[1], *directed(values)), (inflow[2], stored[2], *directed(rates))
+
+
+def rational_slope(flow: jax.Array) -> jax.Array:
+    """Return the derivative of x²/(1 + x) at x ≥ 0."""
+    return flow * (2 + flow) / (1 + flow) ** 2
 
 
 def goes_forward(flow: jax.Array, stored: jax.Array) -> jax.Array:
