@@ -1,16 +1,22 @@
 r"""Samples of predictions of the ``physics`` preset, with a calibrated spread.
 
-Three random quantities make a sample of a prediction:
+Four random quantities make a sample of a prediction:
 
 - the correction of one of the fits that left out a fold of the training cases (whole
   geometries or whole waveforms), chosen at random, because the data do not determine it;
 - a normal shift of the correction's logit, the same for a whole case, because cases differ
   in how much of the storage the averaged flow hides, and the inputs do not show it;
 - a normal multiple of an error profile along the vessel, one for each variable, for the
-  errors that remain where the correction has no effect.
+  errors that remain where the correction has no effect; that of the pressure is the error at the
+  outlet, the same at every point, so that it cancels in a pressure drop;
+- normal multiples for the pressure losses ℓ(z, t) = p − p(L): one of ℓ itself, and three of the
+  vessel's mean dynamic pressure, in the shares in which ℓ builds up along the vessel: constant in
+  time, and with cos(2πt/T) and sin(2πt/T).
 
-The widths of the last two are calibrated on the cases that each fit left out
-(:mod:`pcnde_bridge.uncertainty.calibration`), with the shift that gives the narrowest intervals.
+The widths are calibrated on the cases that each fit left out
+(:mod:`pcnde_bridge.uncertainty.calibration`): those of the losses on the drop across the stenosis,
+the others on flow, area and pressure, with the shift that gives the narrowest intervals.  The
+losses themselves are fitted to all training cases.
 """
 
 from __future__ import annotations
@@ -25,17 +31,19 @@ from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.indices import measuring_positions, pressure_drop
 from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
+from pcnde_bridge.uncertainty.calibration import Calibration, fit_loss_scales, shared_error
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _CALIBRATION_SAMPLES = 12
 _NEGLIGIBLE = 1e-12
+_NOISES = len(VARIABLES) + 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +56,16 @@ class Uncertainty:
         Parameters of the correction, one row for each fit that left out a fold.
     shift : array of shape (1,)
         Standard deviation of the logit's shift.
+    losses : array of shape (3,)
+        Standard deviations of the losses: relative to them, then relative to the mean dynamic
+        pressure, constant and varying in time.
     profile, scale : arrays of shape (3, point) and (3,)
         Attributes of :class:`~pcnde_bridge.uncertainty.calibration.Calibration`.
     """
 
     members: Array
     shift: Array
+    losses: Array
     profile: Array
     scale: Array
 
@@ -80,9 +92,9 @@ class Uncertainty:
         """
         self.calibration.check()
         members = len(self.members), width
-        for name, array, shape in (("members", self.members, members), ("shift", self.shift, (1,))):
-            check_shape(f"The uncertainty's {name}", array, shape)
-            check_finite(f"The uncertainty's {name}", array)
+        for name, shape in {"members": members, "shift": (1,), "losses": (3,)}.items():
+            check_shape(f"The uncertainty's {name}", getattr(self, name), shape)
+            check_finite(f"The uncertainty's {name}", getattr(self, name))
 
 
 class RandomNumbers(NamedTuple):
@@ -94,8 +106,9 @@ class RandomNumbers(NamedTuple):
         Index of the fit that gives the correction.
     shift : array of shape (sample, case)
         Shift of the correction's logit.
-    noise : array of shape (3, sample, case)
-        Multiples of the error profiles of flow, area and pressure.
+    noise : array of shape (7, sample, case)
+        Multiples of the error profiles of flow, area and pressure, of the losses, and of
+        the mean dynamic pressure, constant, with cosine and with sine.
     """
 
     member: IntArray
@@ -109,7 +122,7 @@ class RandomNumbers(NamedTuple):
         """Generate the numbers for ``samples`` samples of ``count`` cases."""
         member = rng.integers(len(uncertainty.members), size=samples)
         shift = uncertainty.shift[0] * rng.standard_normal((samples, count))
-        return cls(member, shift, rng.standard_normal((len(VARIABLES), samples, count)))
+        return cls(member, shift, rng.standard_normal((_NOISES, samples, count)))
 
     def select(self, cases: slice) -> RandomNumbers:
         """Return the numbers of a range of cases."""
@@ -167,18 +180,24 @@ def calibrate(
     """
     normal = rng.standard_normal((_CALIBRATION_SAMPLES, max(len(fold) for fold in left_out)))
     errors: list[Array] = []
+    drops: list[Array] = []  # for each fold, errors of the drop and their two scales
     spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
     for member, fold in zip(members, left_out, strict=True):
         truth = cases.select(fold)
         inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
         plain = model.predict(member, np.zeros((1, len(truth))), inputs)
         errors.append(np.abs([plain[name][0] - getattr(truth, name) for name in VARIABLES]))
+        scales = _loss_scales(plain["pressure"][0], inputs, model.config)
+        ends = truth.z, *measuring_positions(truth.z, truth.area_undeformed)
+        error = plain["pressure"][0] - truth.pressure
+        drops.append(np.stack([pressure_drop(values, *ends) for values in (error, *scales)]))
         spreads.append([np.zeros_like(errors[-1])])
         for shift in _SHIFTS[1:]:
             samples = model.predict(member, shift * normal[:, : len(truth)], inputs)
             spreads[-1].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
     error = np.concatenate(errors, axis=1)
     profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
+    profile[-1] = profile[-1, -1]
     calibrations, widths = [], []
     for spread in np.concatenate(spreads, axis=2):
         calibrations.append(Calibration.fit(profile, error, spread))
@@ -187,7 +206,21 @@ def calibrate(
     # The intervals are compared by their mean widths in terms of the errors.
     best = int(np.argmin(widths))
     scale = calibrations[best].scale
-    return Uncertainty(np.array(members), np.array([_SHIFTS[best]]), profile, scale)
+    losses = fit_loss_scales(*np.concatenate(drops, axis=1)) / (scale[-1] or 1.0)
+    return Uncertainty(np.array(members), np.array([_SHIFTS[best]]), losses, profile, scale)
+
+
+def _loss_scales(
+    pressure: Array, inputs: ModelInputs, config: ClosureConfig
+) -> tuple[Array, Array]:
+    """Return the losses, and the mean dynamic pressure in their shares, (case, time, z)."""
+    losses = pressure - pressure[..., -1:]
+    built_up = np.sqrt((losses**2).mean(axis=1, keepdims=True))
+    largest = built_up.max(axis=-1, keepdims=True) + _NEGLIGIBLE
+    velocity = inputs.inflow / inputs.area_undeformed[:, :1]
+    dynamic = config.physics.density / 2 * (velocity**2).mean(axis=1)
+    constant = np.broadcast_to(dynamic[:, None, None] * built_up / largest, losses.shape)
+    return losses, constant
 
 
 def sample(
@@ -240,10 +273,18 @@ def sample(
         for name, values in samples.items():
             found[name][rows] = values
     calibration, z = uncertainty.calibration, inputs.grid.z
-    for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=True):
+    for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=False):
         center = getattr(mean, name)
         found[name] -= center
         found[name] += noise[:, :, None, None] * calibration.shared_error(name, z)
+        if name == "pressure":
+            relative, constant, varying = uncertainty.losses
+            losses, dynamic = _loss_scales(center, inputs, model.config)
+            phase = 2 * np.pi * inputs.grid.time[:, None] / inputs.grid.period
+            multiples = numbers.noise[len(VARIABLES) :, :, :, None, None]
+            found[name] += relative * multiples[0] * losses
+            wave = multiples[2] * np.cos(phase) + multiples[3] * np.sin(phase)
+            found[name] += (constant * multiples[1] + varying * wave) * dynamic
         found[name] *= scale
         found[name] += center
     return found
