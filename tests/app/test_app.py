@@ -45,7 +45,11 @@ def model():
     rng = np.random.default_rng(7)
     members = CORRECTED.correction + 0.3 * np.where(np.arange(21) < 4, 0, rng.normal(size=(2, 21)))
     uncertainty = Uncertainty(
-        members, np.array([0.5]), np.array([[0.01], [1e-4], [500.0]]) * np.ones(41), np.ones(3)
+        members,
+        np.array([0.5]),
+        np.zeros(3),
+        np.array([[0.01], [1e-4], [500.0]]) * np.ones(41),
+        np.ones(3),
     )
     facts = {"cases": len(INFLOW)}
     novelty = Novelty.fit(INFLOW, AREA, Z)

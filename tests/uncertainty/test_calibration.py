@@ -14,7 +14,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.types import ModelInputs, Solution
-from pcnde_bridge.uncertainty.calibration import Calibration
+from pcnde_bridge.uncertainty.calibration import Calibration, fit_loss_scales
 from pcnde_bridge.uncertainty.sampling import (
     RandomNumbers,
     SampledModel,
@@ -25,9 +25,10 @@ from pcnde_bridge.uncertainty.sampling import (
 
 GRID = Grid(np.arange(4) / 4, np.linspace(0, 4, 6), 1.0)
 UNITS = np.array([1e-3, 1e-4, 10.0])  # of the errors of flow, area and pressure
-ALONG = np.array([0.0, 1.0, 2.0, 4.0, 2.0, 1.0])  # nothing at the inlet, which is given
+# Nothing at the inlet, where the flow is given; the pressure is off by the same everywhere.
+ALONG = np.array([[0.0, 1.0, 2.0, 4.0, 2.0, 1.0]] * 2 + [[1.0] * 6])
 FACTOR = 1 / NormalDist().inv_cdf(0.95)
-PARAMETERS = ClosureParameters(np.ones(4), np.ones(4), np.ones(5), np.array([1000.0]))
+PARAMETERS = ClosureParameters(np.ones(4), np.ones(10), np.ones(5), np.array([1000.0]))
 
 
 def truth(inflow):
@@ -47,8 +48,12 @@ class ByHand:
         inflow = inputs.inflow
         case = np.rint(inflow[:, 0]).astype(int) - 1
         error = self.amount[case] * parameters.correction[0] + self.response[case] * shift
-        error = np.multiply.outer(error, np.ones((4, 1)) * ALONG)
-        return Solution(*(t + u * error for t, u in zip(truth(inflow), UNITS, strict=True)))
+        return Solution(
+            *(
+                values + unit * np.multiply.outer(error, np.ones((4, 1)) * along)
+                for values, unit, along in zip(truth(inflow), UNITS, ALONG, strict=True)
+            )
+        )
 
 
 def inflow_of(count):
@@ -88,15 +93,19 @@ def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift,
     assert found.shift == [shift]
     # 68 % of the cases are off by one at most.
     assert np.allclose(found.profile, UNITS[:, None] * ALONG, rtol=1e-7, atol=0)
+    assert np.isfinite(found.losses).all()
     assert np.allclose(found.scale, factor * FACTOR, rtol=1e-7)
 
 
-def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, z=GRID.z):
+def drawn(
+    members, shift, profile, scale, samples, amount=(1.0,), response=0.0, z=GRID.z, losses=(0, 0, 0)
+):
     """Return samples minus the truth, in terms of UNITS, and their shifts."""
     engine, inflow = ByHand(amount, response), inflow_of(len(amount))
     uncertainty = Uncertainty(
         np.array(members, dtype=float)[:, None],
         np.array([shift]),
+        np.array(losses),
         UNITS[:, None] * profile,
         np.array(scale),
     )
@@ -112,12 +121,12 @@ def drawn(members, shift, profile, scale, samples, amount=(1.0,), response=0.0, 
 def test_samples_of_members_are_their_predictions():
     nothing = np.zeros((3, 2))
     off, _ = drawn([1.0, -2.0, 5.0], 0.0, nothing, [1.0, 2.0, 3.0], 30, amount=(1.0, 3.0))
-    for one, scale in zip(off, (1.0, 2.0, 3.0), strict=True):
+    for one, scale, along in zip(off, (1.0, 2.0, 3.0), ALONG, strict=True):
         of_case = one[:, 0, 0, 1]
         assert sorted(set(np.rint(of_case))) == [-2 * scale, scale, 5 * scale]
         for case, amount in enumerate((1.0, 3.0)):
             member = np.rint(of_case / scale)[:, None, None]
-            expected = scale * amount * member * ALONG * np.ones((4, 1))
+            expected = scale * amount * member * along * np.ones((4, 1))
             assert np.allclose(one[:, case], expected, rtol=1e-6, atol=1e-6)
 
 
@@ -141,8 +150,47 @@ def test_samples_have_the_standard_deviation_of_the_shift():
     shifts = shifts.reshape(4000, 2)
     assert np.allclose(shifts.std(axis=0), 0.7, rtol=0.05)
     assert abs(np.corrcoef(shifts.T)[0, 1]) < 0.06
-    expected = (shifts * [1.0, 5.0])[:, :, None, None] * np.ones((4, 1)) * ALONG
+    expected = np.multiply.outer(shifts * [1.0, 5.0], np.ones((4, 1)) * ALONG[:, None])
+    expected = np.moveaxis(expected, 2, 0)
     assert np.allclose(off, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_errors_of_the_losses_do_not_cancel_in_a_drop():
+    """The pressure falls in proportion to Q; the samples' drops vary as the widths say."""
+    relative, constant, varying = widths = 0.1, 2.0, 3.0
+    inflow, area = inflow_of(2), np.full((2, 6), 0.1)
+    flow, fields, _ = truth(inflow)
+    below = np.array([5.0, 4.0, 4.0, 1.0, 1.0, 0.0])
+    mean = Solution(flow, fields, 1e5 + 100.0 * flow * below)
+    engine = SimpleNamespace(predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean)))
+    profile = np.array([[0.0], [0.0], [50.0]]) * np.ones(6)
+    uncertainty = Uncertainty(
+        np.zeros((1, 1)), np.zeros(1), np.array(widths), profile, np.array([1.0, 1.0, 0.5])
+    )
+    numbers = RandomNumbers.generate(uncertainty, 4000, 2, np.random.default_rng(1))
+    model = SampledModel(engine, PARAMETERS, PHYSICS)
+    inputs = ModelInputs(inflow, area, GRID)
+    pressure = sample(model, uncertainty, mean, inputs, numbers)["pressure"]
+    assert np.allclose(pressure[..., -1].std(axis=0), 0.5 * 50, rtol=0.05)
+    drop = pressure[..., 1] - pressure[..., 4]
+    dynamic = PHYSICS.physics.density / 2 * (inflow / 0.1) ** 2 * 0.6
+    losses = 300.0 * inflow
+    expected = 0.5 * np.sqrt((relative * losses) ** 2 + (constant**2 + varying**2) * dynamic**2)
+    assert np.allclose(drop.std(axis=0), expected, rtol=0.05)
+    of_means = 0.5 * np.hypot(relative * losses, constant * dynamic)[:, 0]
+    assert np.allclose(drop.mean(axis=-1).std(axis=0), of_means, rtol=0.05)
+
+
+@pytest.mark.parametrize(("constant", "varying"), [(0.3, 0.4), (0.0, 0.5), (0.5, 0.0)])
+def test_scales_of_normal_losses(constant, varying):
+    rng = np.random.default_rng(2)
+    phase = 2 * np.pi * np.arange(20) / 20
+    losses = rng.uniform(1, 100, size=(2000, 1)) * (1 + 0.5 * np.cos(phase))
+    noise = rng.standard_normal((4, 2000, 1))
+    wave = noise[2] * np.cos(phase) + noise[3] * np.sin(phase)
+    error = 0.02 * noise[0] * losses + 2.0 * (constant * noise[1] + varying * wave)
+    found = fit_loss_scales(error, losses, np.full(losses.shape, 2.0))
+    assert found == pytest.approx([0.02, constant, varying], rel=0.1, abs=0.1)
 
 
 def test_factor_of_normal_errors():
