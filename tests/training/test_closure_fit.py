@@ -20,6 +20,7 @@ from helpers import (
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.closure_parameters import sizes
+from pcnde_bridge.engines.shared_terms import rate
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.training import closure_fit as fit
 from pcnde_bridge.training.closure_training import ClosureTraining
@@ -66,14 +67,29 @@ def test_windkessel_is_found(kind, distal):
     assert fit.fit_outlet(cases, settings) == pytest.approx(outlet, rel=1e-3)
 
 
-def test_losses_are_found_and_given_ones_kept(cases, closures):
+def largest_error_of_the_drop(closures, cases, parameters):
+    """Largest error of p − p(L) with given losses, relative to the largest p − p(L)."""
+    flow_rate = np.moveaxis(rate(np.moveaxis(cases.flow, 1, -1), cases.period), -1, 1)
+    problem = closures.losses(cases.flow, flow_rate, cases.area_undeformed, cases.grid, CONFIG)
+    expected = problem(LOSSES)[0]
+    return np.abs(problem(parameters)[0] - expected).max() / np.abs(expected).max()
+
+
+def test_losses_are_found(cases, closures):
     # The cases' modes take the storage's shares from a uniform pressure: not to round-off.
-    assert fit.fit_losses(closures, cases, CONFIG).parameters == pytest.approx(LOSSES, rel=1e-3)
+    found = fit.fit_losses(closures, cases, CONFIG).parameters
+    # Several of the ten can replace each other, but the drop is the same.
+    assert largest_error_of_the_drop(closures, cases, found) < 1e-3
+    assert found[:2] == pytest.approx(LOSSES[:2], rel=0.05)
+
+
+def test_given_losses_are_kept(cases, closures):
     given = CONFIG.replace(losses={"friction": 1.5, "jet_spread": 0.1})
-    friction, inertia, convection, spread = fit.fit_losses(closures, cases, given).parameters
-    assert (friction, spread) == (1.5, 0.1)
-    assert (inertia, convection) == pytest.approx((1.1, 0.9), rel=0.2)
-    assert (inertia, convection) != (1.0, 1.0)
+    found = fit.fit_losses(closures, cases, given).parameters
+    assert (found[0], found[7]) == (1.5, 0.1)
+    assert found[1] == pytest.approx(1.1, rel=0.2)
+    starts = np.array([start for start, _, _ in fit._LOSS_RANGES.values()])
+    assert (np.delete(found, [0, 7]) != np.delete(starts, [0, 7])).all()
 
 
 def test_membrane_is_found(cases, closures):

@@ -10,6 +10,7 @@ import pytest
 from helpers import (
     AREA,
     CORRECTED,
+    LOSSES,
     PHYSICS_CONFIG,
     TIME,
     Z,
@@ -28,6 +29,7 @@ from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.errors import FileError
+from pcnde_bridge.training.closure_fit import _LOSS_RANGES
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.trainer import Trainer
 
@@ -67,7 +69,8 @@ def test_what_the_closures_made_is_learnt(model, cases):
     assert (errors[limits.index] < limits).all()
     assert model.config == PHYSICS_CONFIG.replace(wall={"law": "membrane"})
     assert model.parameters.outlet == pytest.approx(CORRECTED.outlet, rel=1e-3)
-    assert model.parameters.losses == pytest.approx(CORRECTED.losses, rel=0.05)
+    # Friction and inertia; the other losses can replace each other.
+    assert model.parameters.losses[:2] == pytest.approx(CORRECTED.losses[:2], rel=0.05)
     assert model.has_pressure
 
 
@@ -110,7 +113,7 @@ def test_same_seed_same_bits_other_seed_others(model, cases):
 def test_given_numbers_are_kept(cases):
     given = PHYSICS_CONFIG.replace(
         outlet={"resistance": 1e5, "distal_pressure": 5e3},
-        losses={"friction": 1.2, "inertia": 1.1, "convection": 0.9, "jet_spread": 0.12},
+        losses=dict(zip(_LOSS_RANGES, map(float, LOSSES), strict=True)),
         wall={"stiffness": 1e6, "poisson": 0.45, "shear": 0.2, "support": 1.0}
         | {"zero_pressure": 2e3},
         correction={"storage": 1.3, "folds": 0},

@@ -20,11 +20,14 @@ The drop is computed at three Reynolds numbers of the inlet, and interpolated by
 where Q₀ has a Reynolds number of 60.  An unsteady flow adds c_i·ρ/S_u·∂Q/∂t per length, and the
 lag of the jet, whose fluid left the throat earlier:
 
-    −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz].
+    −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz],
+
+integrated from the beginning of each jet, at the middle one of the Reynolds numbers.
 
 With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) = q − Q(L) the flow stored by the
 wall and ξ(z) the share of the storage before z, the pressure is a sum of products of a function of
-z and a function of t; in the second term of D only the first order in d is included.
+z and a function of t.  In the second term of D only the first order in d is included, and in the
+jet's lag ∂Q/∂t is that of the inflow.
 """
 
 from __future__ import annotations
@@ -142,9 +145,10 @@ def _directed(
     mixed = p.jet_recovery * flow**2 * per_area * jnp.diff(1 / jet)
     narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
     factors = _TO_FACTORS @ (jnp.where(narrows, accelerated, mixed) + friction)
-    lag = (1 / jet - p.jet_momentum / area) * summed_from_inlet(
-        _middle(jnp.where(filled, 0, jet)) * steps
-    )
+    volume = summed_from_inlet(_middle(jnp.where(filled, 0, jet)) * steps)
+    # Without the volume of jets that ended before.
+    volume = volume - jax.lax.cummax(jnp.where(filled, volume, 0), axis=1)
+    lag = (1 / jet - p.jet_momentum / area) * volume
     # The lag is that of the middle one of the flows.
     return jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
 
