@@ -88,7 +88,7 @@ def test_given_losses_are_kept(cases, closures):
     found = fit.fit_losses(closures, cases, given).parameters
     assert (found[0], found[7]) == (1.5, 0.1)
     assert found[1] == pytest.approx(1.1, rel=0.2)
-    starts = np.array([start for start, _, _ in fit._LOSS_RANGES.values()])
+    starts = np.array([start for start, _, _ in fit._LOSSES.values()])
     assert (np.delete(found, [0, 7]) != np.delete(starts, [0, 7])).all()
 
 

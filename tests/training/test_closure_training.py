@@ -29,7 +29,7 @@ from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.errors import FileError
-from pcnde_bridge.training.closure_fit import _LOSS_RANGES
+from pcnde_bridge.training.closure_fit import _LOSSES
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.trainer import Trainer
 
@@ -113,7 +113,7 @@ def test_same_seed_same_bits_other_seed_others(model, cases):
 def test_given_numbers_are_kept(cases):
     given = PHYSICS_CONFIG.replace(
         outlet={"resistance": 1e5, "distal_pressure": 5e3},
-        losses=dict(zip(_LOSS_RANGES, map(float, LOSSES), strict=True)),
+        losses=dict(zip(_LOSSES, map(float, LOSSES), strict=True)),
         wall={"stiffness": 1e6, "poisson": 0.45, "shear": 0.2, "support": 1.0}
         | {"zero_pressure": 2e3},
         correction={"storage": 1.3, "folds": 0},
