@@ -173,7 +173,7 @@ end
 """
 function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
     if name == "losses"
-        return value_and_jacobian(LossesClosure(inputs..., z, period, config), θ)
+        return value_and_jacobian(LossesClosure(inputs..., z, config), θ)
     elseif name == "area"
         return value_and_jacobian(AreaClosure(inputs..., z, config), θ)
     elseif name == "flow"

@@ -27,8 +27,8 @@
         "temporal_flow" => (inflow, flow[:, 1, :]),
     )
     closures = (
-        [1e5, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.1], [1e6, 0.45, 0.2, 1.0, 0.0],
-        [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
+        [1e5, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.3, 1.3, 1.2, 1.2, 0.01, 3.5, 0.7],
+        [1e6, 0.45, 0.2, 1.0, 0.0], [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
     )
     pressure, points = 1e5 .* flow, [1.0, 6.0]
     bowl(x, result) = (result[1] = sum(abs2, x); result[2:end] .= 2 .* x; nothing)
@@ -66,7 +66,7 @@
         store_objective("flow", (inflow, area), flow, ones(size(flow, 3)), z, 1.0, Config())
         lbfgs(bowl, [1.0, 2.0], 3, 2, (_, _) -> nothing)
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
-        closure("losses", closures[2], (flow, area_undeformed), z, 1.0, chosen)
+        closure("losses", closures[2], (flow, zero(flow), area_undeformed), z, 1.0, chosen)
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
         coupled = (closures[1:3]..., inflow, area_undeformed, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)

@@ -1,9 +1,11 @@
 using PCNDECore:
-    ClosureConfig, LossDensities, CorrectionClosure, Harmonics, Spectra, analyze!, closure,
-    displacement, hidden_share!, jet_area, predict_closures!, pressure_drop!, solve_banded!,
-    synthesize!, time_derivative
+    ClosureConfig, CorrectionClosure, Harmonics, LossCoefficients, Spectra, analyze!, closure,
+    displacement, hidden_share!, jet_area, layer_rate, layer_thickness, predict_closures!,
+    pressure_drop!, solve_banded!, spatial_modes, synthesize!, temporal_modes
+using PCNDECore.ForwardDiff: derivative
 
-const outlet, losses = [1e5, 0.0, 0.0, 5e3], [1.2, 1.1, 0.9, 0.12]
+const outlet = [1e5, 0.0, 0.0, 5e3]
+const losses = [1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7]
 const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
 const correction = [1.3; 0.8; 1e6; 1.0; randn(MersenneTwister(5), 17)]
 const with_hidden = ClosureConfig(correction = CorrectionClosure(hidden = [4]))
@@ -16,6 +18,20 @@ function predicted(
     parameters, shift = (law, losses, tube, θ), zeros(length(cases))
     predict_closures!(results..., parameters, shift, inputs..., z, period, config)
     return results
+end
+
+"""
+∂f/∂t of a periodic signal, exact for its Fourier series.
+"""
+function time_derivative(harmonics, signal)
+    spectra = Spectra(Float64, harmonics, 1)
+    spectra.signals .= signal
+    analyze!(spectra, harmonics)
+    (; real, imaginary) = spectra
+    # iω·(a + ib) = −ωb + iωa.
+    real[:, :], imaginary[:, :] = .-harmonics.omega .* imaginary, harmonics.omega .* real
+    synthesize!(spectra, harmonics)
+    return vec(spectra.signals)
 end
 
 @testset "harmonics" begin
@@ -32,7 +48,7 @@ end
         synthesize!(spectra, harmonics)
         @test spectra.signals ≈ [signal reverse(signal)]
         slope = (-2π .* sin.(2π .* t) .- 18π .* cos.(6π .* t)) ./ period
-        @test vec(time_derivative(harmonics, permutedims(signal))) ≈ slope
+        @test time_derivative(harmonics, signal) ≈ slope
     end
 end
 
@@ -60,16 +76,81 @@ end
     @test displacement([2e6, 1.0, 0.0], loads, fill(π, n_points), z, "local") ≈ loads ./ 2e6
 end
 
-@testset "losses" begin
-    straight = LossDensities(losses, fill(0.125, n_points), z, Physics())
-    @test iszero(straight.jet) && iszero(straight.jet_back)
-    steady, none = ones(n_points, 1), zeros(n_points, 1)
-    poiseuille = 1.2 * 8π * 0.04 / 0.125^2
-    @test pressure_drop!(similar(none), straight, steady, none, z) ≈ poiseuille .* (4 .- z)
+@testset "boundary layer and jet" begin
+    rate(d) = layer_rate(d, 0.7, 0.3)[1]
+    for d in (0.05, 0.4, 0.95)
+        @test layer_rate(d, 0.7, 0.3)[2] ≈ derivative(rate, d)
+    end
     s_u = data.area_undeformed[:, 3]
-    jet = jet_area(s_u, diff(z), 0.1)
-    @test all(jet .<= s_u .* (1 + 1e-12)) && jet[1:11] == s_u[1:11] && any(jet .< 0.99 .* s_u)
-    @test jet_area(s_u, diff(z), 1e3) == s_u
+    @test layer_thickness(fill(0.125, n_points), z, 0.2) == ones(n_points)
+    layer = layer_thickness(s_u, z, 0.2)
+    @test layer[1] == 1 && all(0.02 .<= layer .<= 1)
+    @test 9 <= argmin(layer) <= 11 && issorted(layer[13:end])
+    # Inviscid flow thins the layer to its limit in a strong narrowing.
+    @test minimum(layer_thickness(range(1, 0.01, n_points), z, 0.0)) == 0.02
+    # The method is of second order.
+    fine = collect(range(0.0, 4.0, 16 * (n_points - 1) + 1))
+    area(points) = 0.125 .* (1 .- 0.6 .* exp.(-((points .- 2) ./ 0.4) .^ 2))
+    errors = map((2, 4)) do factor
+        points = fine[1:(16 ÷ factor):end]
+        exact = layer_thickness(area(fine), fine, 0.2)[1:(16 ÷ factor):end]
+        norm(layer_thickness(area(points), points, 0.2) .- exact) / sqrt(length(points))
+    end
+    @test errors[2] < errors[1] / 3 && errors[1] < 0.01
+    jet = jet_area(s_u, z, 1.25, 0.06, 0.03)
+    @test all(jet .<= s_u ./ 1.25 .* (1 + 1e-12))
+    @test jet[1:11] == s_u[1:11] ./ 1.25 && any(jet .< 0.9 .* s_u ./ 1.25)
+    @test jet_area(s_u, z, 1.25, 1e3, 0.0) == s_u ./ 1.25
+end
+
+@testset "losses" begin
+    steady, none = ones(n_points, 1), zeros(n_points, 1)
+    drop(c, flow, rate = none) = pressure_drop!(similar(none), c, flow, rate, z)
+    straight = LossCoefficients(losses, fill(0.125, n_points), z, Physics())
+    poiseuille = 1.2 * 8π * 0.04 / 0.125^2
+    @test drop(straight, 2 .* steady) ≈ 2 * poiseuille .* (4 .- z)
+    @test drop(straight, none, steady) ≈ 1.1 * 1.06 / 0.125 .* (4 .- z)
+    @test iszero(straight.forward[:, 4])
+    # A stenosis that narrows slowly and widens quickly, and its mirror image.
+    s_u = [0.125 * (1 - 0.6 * exp(-((x - 2) / (x < 2 ? 0.9 : 0.3))^2)) for x in z]
+    there, back = (LossCoefficients(losses, s, z, Physics()) for s in (s_u, reverse(s_u)))
+    @test there.forward ≈ -reverse(back.back; dims = 1) rtol = 1e-10
+    q = there.reference_flow .* steady
+    for flow in (0.5, 8.0)
+        @test drop(there, flow .* q)[1] ≈ -drop(back, -flow .* q)[1]
+        @test drop(there, flow .* q)[1] > 1.05 * drop(back, flow .* q)[1]
+    end
+    # The interpolation is exact at the flows that are computed.
+    named = PCNDECore.LossParameters(losses)
+    for ratio in PCNDECore.FLOW_RATIOS
+        flow = ratio * there.reference_flow
+        viscosity = π * 0.04 / 1.06 / flow
+        layer = layer_thickness(s_u, z, 4 * 1.3 * viscosity)
+        jet = jet_area(s_u, z, 1.25, 0.06, 2.0 * viscosity)
+        pieces = PCNDECore.steady_drop(named, flow, layer, jet, s_u, z, Physics())
+        @test drop(there, ratio .* q)[1] ≈ sum(pieces)
+    end
+    # Products of functions of z and t.
+    share = z ./ 4
+    in_z = spatial_modes(there, share, z)
+    waves(t) = (2 * sin(t), 0.01 * cos(3t))
+    for t in (0.7, 4.0)
+        inflow = first(waves(t)), 2 * cos(t), -2 * sin(t)
+        stored = last(waves(t)), -0.03 * sin(3t), -0.09 * cos(3t)
+        modes, rates = temporal_modes(inflow, stored, there.reference_flow)
+        flow, rate = (inflow[i] .- share .* stored[i] for i in 1:2)
+        @test in_z * collect(modes) ≈ drop(there, flow, rate) rtol = 1e-3
+        for (mode, rate) in enumerate(rates)
+            function at(time)
+                q, d = (
+                    (f(time), derivative(f, time), zero(time)) for
+                    f in (x -> waves(x)[1], x -> waves(x)[2])
+                )
+                return temporal_modes(q, d, there.reference_flow)[1][mode]
+            end
+            @test rate ≈ derivative(at, t) atol = 1e-12
+        end
+    end
 end
 
 @testset "correction" begin
@@ -97,9 +178,9 @@ end
     volume = PCNDECore.cumulative_integral.(eachslice(area_0; dims = (2, 3)), Ref(z))
     harmonics = Harmonics(n_times, 1.0)
     for n in 1:n_cases
-        stored = permutedims(last.(volume[:, n]))
+        stored = last.(volume[:, n])
         lost = passive[1, :, n] .- passive[end, :, n]
-        @test lost ≈ 1.3 .* vec(time_derivative(harmonics, stored)) rtol = 0.05
+        @test lost ≈ 1.3 .* time_derivative(harmonics, stored) rtol = 0.05
     end
     @test maximum(abs, flow .- passive) > 1e-3
     @test all(predicted(cases = 2:2) .== map(a -> a[:, :, 2:2], (flow, area, pressure)))
@@ -120,11 +201,13 @@ end
 
 @testset "Jacobians are derivatives" begin
     flow, _, pressure = predicted()
+    flow_rate = circshift(flow, (0, -1, 0)) .- flow
     s_u = data.area_undeformed
     local_law = ClosureConfig(wall = PCNDECore.WallClosure(law = "local"))
     coupled = (outlet, losses, wall, data.inflow, s_u, [5.0, 20.0])
     for (name, θ, inputs, config) in (
-        ("losses", losses, (flow, s_u), with_hidden),
+        ("losses", losses, (flow, flow_rate, s_u), with_hidden),
+        ("losses", losses, (.-flow, flow_rate, s_u), with_hidden),
         ("area", wall, (pressure, s_u), with_hidden),
         ("area", [1e6, 0.5, 2e3], (pressure, s_u), local_law),
         ("flow", correction, coupled, with_hidden),
@@ -140,5 +223,12 @@ end
         end
     end
     @test closure("flow", correction, coupled, z, 1.0, with_hidden)[1] ≈ flow[[6, 21], :, :]
-    @test_throws ArgumentError closure("heat", losses, (flow, s_u), z, 1.0, with_hidden)
+    @test_throws ArgumentError closure(
+        "heat",
+        losses,
+        (flow, flow_rate, s_u),
+        z,
+        1.0,
+        with_hidden,
+    )
 end

@@ -28,42 +28,54 @@ forward-mode differentiation.
 """
 function value_and_jacobian(closure, parameters::Vector{Float64})
     value = closure(parameters)
-    chunk = ForwardDiff.Chunk(min(length(parameters), MAX_CHUNK))
+    chunk = ForwardDiff.Chunk(length(parameters), MAX_CHUNK)
     settings = ForwardDiff.JacobianConfig(closure, parameters, chunk)
     jacobian = ForwardDiff.jacobian(closure, parameters, settings)
     return value, reshape(permutedims(jacobian), :, size(value)...)
 end
 
 """
-    LossesClosure(flow, area_undeformed, z, period, config)
+    LossesClosure(flow, flow_rate, area_undeformed, z, config)
 
-p − p(L), dyn/cm², (z, time, case), of a known flow, as a function of the parameters of the
-losses.
+p − p(L), dyn/cm², (z, time, case), of a known flow and its derivative ∂Q/∂t, mL/s and mL/s², as
+a function of the parameters of the losses. The time points are arbitrary.
+
+# Fields
+
+  - `flow`, `flow_rate`: Q and ∂Q/∂t, (z, time, case).
+  - `vessels`: S_u of the different vessels, cm², (z) each.
+  - `vessel_of`: number of each case's vessel.
+  - `z`, `physics`: points, cm, and a [`Physics`](@ref).
 """
 struct LossesClosure
     flow::Array{Float64, 3}
     flow_rate::Array{Float64, 3}
-    area_undeformed::Matrix{Float64}
+    vessels::Vector{Vector{Float64}}
+    vessel_of::Vector{Int}
     z::Vector{Float64}
     physics::Physics
 end
 
-function LossesClosure(flow, area_undeformed, z, period, config::ClosureConfig)
-    harmonics, flow_rate = Harmonics(size(flow, 2), period), similar(flow)
-    for case in axes(flow, 3)
-        flow_rate[:, :, case] = time_derivative(harmonics, flow[:, :, case])
-    end
-    return LossesClosure(flow, flow_rate, area_undeformed, z, config.physics)
+function LossesClosure(flow, flow_rate, area_undeformed, z, config::ClosureConfig)
+    areas = collect.(eachcol(area_undeformed))
+    vessels = unique(areas)
+    return LossesClosure(flow, flow_rate, vessels, indexin(areas, vessels), z, config.physics)
 end
 
 function (closure::LossesClosure)(parameters::Vector{T}) where {T}
-    (; flow, flow_rate, area_undeformed, z, physics) = closure
+    (; flow, flow_rate, vessels, vessel_of, z, physics) = closure
+    coefficients = Vector{LossCoefficients{T}}(undef, length(vessels))
+    threaded_batches(length(vessels)) do batches
+        for batch in batches, vessel in batch
+            coefficients[vessel] = LossCoefficients(parameters, vessels[vessel], z, physics)
+        end
+    end
     pressure = similar(flow, T)
     threaded_batches(size(flow, 3)) do batches
         for batch in batches, case in batch
-            densities = LossDensities(parameters, area_undeformed[:, case], z, physics)
             @views pressure_drop!(
-                pressure[:, :, case], densities, flow[:, :, case], flow_rate[:, :, case], z,
+                pressure[:, :, case], coefficients[vessel_of[case]], flow[:, :, case],
+                flow_rate[:, :, case], z,
             )
         end
     end

@@ -27,7 +27,7 @@
     VesselModes(wall, loss, area_undeformed, z, law, physics)
 
 Functions of z of one vessel, S_u (z). Flow, area and pressure are sums of their products with
-the functions of time in [`CoupledCase`](@ref), with the k = 10 modes of the losses.
+the functions of time in [`CoupledCase`](@ref), with the k = 18 modes of the losses.
 
 # Fields
 
@@ -37,6 +37,7 @@ the functions of time in [`CoupledCase`](@ref), with the k = 10 modes of the los
   - `pressure`: p₀, 1 and the losses' functions of z, (z, 2 + k).
   - `flow_slope`, `area_slope`: derivatives of the modes' columns of flow and area with
     respect to the mean of P, (z, k).
+  - `reference_flow`: Q₀ of the losses, mL/s.
 """
 struct VesselModes
     flow::Matrix{Float64}
@@ -44,6 +45,7 @@ struct VesselModes
     pressure::Matrix{Float64}
     flow_slope::Matrix{Float64}
     area_slope::Matrix{Float64}
+    reference_flow::Float64
 end
 
 function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
@@ -51,7 +53,7 @@ function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
     uniform = vec(displacement(wall, ones(length(z), 1), area_undeformed, z, law))
     per_pressure = 2π .* radius .* uniform
     volume = cumulative_integral(per_pressure, z)
-    coefficients = LossDensities(loss, area_undeformed, z, physics)
+    coefficients = LossCoefficients(loss, area_undeformed, z, physics)
     pressure = spatial_modes(coefficients, volume ./ volume[end], z)
     radial = displacement(wall, pressure, area_undeformed, z, law)
     square, one = π .* uniform .^ 2, ones(length(z))
@@ -63,6 +65,7 @@ function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
         [wall[end] .* one one pressure],
         integrals(slope),
         slope,
+        coefficients.reference_flow,
     )
 end
 
@@ -108,14 +111,15 @@ Functions of time of one case, computed by [`couple!`](@ref); k as in [`VesselMo
   - `mean_pressure`: mean of P that the mean inflow gives, dyn/cm².
   - `change`: bound of the change of Q(L) in the last pass, mL/s.
   - `converged`: whether no further pass is needed.
-  - `has_reversed_flow`: whether flow is reversed at some time; otherwise the last three modes
+  - `has_reversed_flow`: whether flow is reversed at some time; otherwise the last eight modes
     are zero.
   - `inflow`, `share`: q and g, (time).
   - `volume`: contributions of P, P² and the modes to the vessel's volume.
-  - `passive`: ∂q/∂t, and ∂P/∂t and Q(L) of the passive tube.
+  - `reference_flow`: Q₀ of the losses, mL/s.
+  - `passive`: ∂q/∂t, ∂²q/∂t², and ∂P/∂t and Q(L) of the passive tube.
   - `stored`: d and ∂d/∂t.
   - `pressure`: P without its constant part, and ∂P/∂t.
-  - `second_rates`: second derivatives of q and d.
+  - `second_rate`: ∂²d/∂t².
   - `residual`: residual of a pass.
   - `inflow_harmonics`, `outlet_flow`: harmonics of q and Q(L).
   - `driven`, `linear`: the part of κ·∂V/∂t that does not depend on Q(L), and the factor of
@@ -127,6 +131,7 @@ mutable struct CoupledCase{T, S <: Spectra{T}}
     const area::Matrix{T}
     largest_inflow::Float64
     mean_pressure::Float64
+    reference_flow::Float64
     change::T
     converged::Bool
     has_reversed_flow::Bool
@@ -136,7 +141,7 @@ mutable struct CoupledCase{T, S <: Spectra{T}}
     const passive::S
     const stored::S
     const pressure::S
-    const second_rates::S
+    const second_rate::S
     const residual::S
     const inflow_harmonics::Vector{Complex{T}}
     const outlet_flow::Vector{Complex{T}}
@@ -151,7 +156,7 @@ function CoupledCase(::Type{T}, harmonics::Harmonics, spectra...) where {T}
     vectors = zeros(n_times), zeros(T, n_times), zeros(2 + N_MODES)
     coefficients = (Vector{Complex{T}}(undef, n) for _ in 1:5)
     return CoupledCase(
-        functions(), functions(), NaN, NaN, T(NaN), false, false, vectors..., spectra...,
+        functions(), functions(), NaN, NaN, NaN, T(NaN), false, false, vectors..., spectra...,
         coefficients...,
     )
 end
@@ -167,12 +172,12 @@ struct CoupledBatch{T, C <: CoupledCase{T}, S <: Spectra{T}}
     passive::S
     stored::S
     pressure::S
-    second_rates::S
+    second_rate::S
     residual::S
 end
 
 function CoupledBatch(::Type{T}, harmonics::Harmonics) where {T}
-    numbers = (3, 2, 2, 2, 1)
+    numbers = (4, 2, 2, 1, 1)
     spectra = map(n -> Spectra(T, harmonics, n * BATCH_SIZE), numbers)
     cases = map(1:BATCH_SIZE) do case
         own = map((s, n) -> select(s, ((case - 1) * n + 1):(case * n)), spectra, numbers)
@@ -222,7 +227,7 @@ function couple!(
     synthesize!(batch.passive, harmonics)
     for (i, case) in pairs(cases)
         (; share, solve, passive) = case
-        @views u, y = passive.signals[:, 2], passive.signals[:, 3]
+        @views u, y = passive.signals[:, 3], passive.signals[:, 4]
         hidden_share!(share, correction, u, y, shifts[i], settings.hidden)
         factor(g) = 1 / (1 - g)
         middle = (maximum(factor, share) + minimum(factor, share)) / 2
@@ -257,6 +262,7 @@ function initialize_case!(
     residual.signals .= coupled.inflow
     coupled.mean_pressure = real(outlet.impedance[1]) * mean_flow(coupled) + offset
     coupled.largest_inflow = maximum(abs, inflow)
+    coupled.reference_flow = vessel.reference_flow
     coupled.converged, coupled.change = false, zero(T)
     @views at_outlet = (vessel.flow[end:end, 2:end], vessel.flow_slope[end:end, :])
     modes_at_mean!(transpose(volume), at_outlet..., coupled.mean_pressure)
@@ -273,24 +279,38 @@ and set `solve` to κ·A(ω).
 """
 function linearize!(coupled::CoupledCase, outlet::OutletLaw, kappa, harmonics)
     (; residual, inflow_harmonics, outlet_flow, driven, linear, solve, volume) = coupled
-    mean = mean_flow(coupled)
-    # Coefficients of q, d, ∂q/∂t, ∂d/∂t and q·d; d contains −y.
-    _, _, of_inflow, of_stored, of_inflow_rate, of_stored_rate = volume
-    of_product = mean >= 0 ? volume[8] : volume[11]
+    of_inflow, of_stored = volume[3], volume[4]
+    of_directed = directed_volume(coupled)
     @inbounds for k in eachindex(solve)
         i_omega, rate = im * harmonics.omega[k], outlet.rate[k]
         q = complex(residual.real[k], residual.imaginary[k])
         y = q * inverse(1 + kappa * volume[1] * rate)
-        set_harmonic!(coupled.passive, k, (i_omega * q, rate * y, y))
+        set_harmonic!(coupled.passive, k, (i_omega * q, i_omega^2 * q, rate * y, y))
         inflow_harmonics[k], outlet_flow[k] = q, y
-        as_flow = i_omega * (of_stored + i_omega * of_stored_rate)
-        driven[k] = kappa * (i_omega * (of_inflow + i_omega * of_inflow_rate) + as_flow) * q
-        linear[k] = kappa * (rate * volume[1] - as_flow)
-        about_mean =
-            rate * 2 * coupled.mean_pressure * volume[2] - i_omega * of_product * mean
+        driven[k] = kappa * i_omega^2 * (of_inflow + of_stored) * q
+        linear[k] = kappa * (rate * volume[1] - i_omega^2 * of_stored)
+        about_mean = rate * 2 * coupled.mean_pressure * volume[2] - i_omega * of_directed
         solve[k] = linear[k] + kappa * about_mean
     end
     return nothing
+end
+
+"""
+    directed_volume(coupled)
+
+Derivative of the volume with respect to d, about the mean flow, by the modes that depend on the
+direction of the flow: d, f'(q)·d and q·d.
+"""
+function directed_volume(coupled::CoupledCase)
+    (; volume, reference_flow) = coupled
+    mean = mean_flow(coupled)
+    direction, before = mean >= 0 ? (1, 4) : (-1, 4 + N_DIRECTED)
+    size = abs(mean) / reference_flow
+    total =
+        volume[before + 2] +
+        rational_slope(size) * volume[before + 4] +
+        size * volume[before + 6]
+    return direction * total / reference_flow
 end
 
 """
@@ -339,11 +359,11 @@ function update_signals!(batch::CoupledBatch, cases, harmonics::Harmonics, outle
         synthesize!(batch.pressure, harmonics)
     else
         for case in cases
-            q, q1, d, p =
+            q, q_rates, d, p =
                 case.inflow, case.passive.signals, case.stored.signals, case.pressure.signals
             @inbounds @simd for t in eachindex(q)
                 p[t, 1] = outlet.resistance * (q[t] - d[t, 1])
-                p[t, 2] = outlet.resistance * (q1[t, 1] - d[t, 2])
+                p[t, 2] = outlet.resistance * (q_rates[t, 1] - d[t, 2])
             end
         end
     end
@@ -357,21 +377,22 @@ Set `residual` to e·d − κ·∂V/∂t without the linear part with constant c
 is the constant part of P.
 """
 function set_residual!(coupled::CoupledCase, kappa, offset)
-    (; inflow, share, volume) = coupled
-    q1, d, p, residual = (
+    (; inflow, share, volume, reference_flow) = coupled
+    q_rates, d, p, residual = (
         s.signals for
         s in (coupled.passive, coupled.stored, coupled.pressure, coupled.residual)
     )
+    of_square = volume[2]
+    of_forward = ntuple(mode -> volume[4 + mode], Val(N_DIRECTED))
+    of_back = ntuple(mode -> volume[4 + N_DIRECTED + mode], Val(N_DIRECTED))
     @inbounds @simd for t in eachindex(inflow)
-        q0, d0 = inflow[t], d[t, 1]
-        forward = is_forward(q0, d0)
-        (s1, s2, s3) = product_rates(q0, q1[t, 1], d0, d[t, 2])
-        products =
-            ifelse(forward, volume[7], volume[10]) * s1 +
-            ifelse(forward, volume[8], volume[11]) * s2 +
-            ifelse(forward, volume[9], volume[12]) * s3
-        filling = volume[2] * (2 * (p[t, 1] + offset) * p[t, 2]) + products
-        residual[t] = d0 / (1 - share[t]) - kappa * filling
+        flows, stored = (inflow[t], q_rates[t, 1], q_rates[t, 2]), (d[t, 1], d[t, 2])
+        forward = is_forward(flows[1], stored[1])
+        rates = directed_rates(flows, stored, reference_flow)
+        directed =
+            sum(map((a, b, rate) -> ifelse(forward, a, b) * rate, of_forward, of_back, rates))
+        filling = of_square * (2 * (p[t, 1] + offset) * p[t, 2]) + directed
+        residual[t] = stored[1] / (1 - share[t]) - kappa * filling
     end
     return nothing
 end
@@ -405,30 +426,29 @@ Compute `flow`, `area` and `has_reversed_flow` from inflow and outlet flow.
 """
 function set_time_functions!(batch::CoupledBatch, cases, harmonics::Harmonics, kappa, offset)
     for case in cases
-        (; inflow_harmonics, outlet_flow, second_rates) = case
+        (; inflow_harmonics, outlet_flow, second_rate) = case
         @inbounds for k in eachindex(outlet_flow)
-            minus_omega2, q = -harmonics.omega[k]^2, inflow_harmonics[k]
-            second = minus_omega2 * q, minus_omega2 * (q - outlet_flow[k])
-            set_harmonic!(second_rates, k, second)
+            d = inflow_harmonics[k] - outlet_flow[k]
+            set_harmonic!(second_rate, k, (-harmonics.omega[k]^2 * d,))
         end
     end
-    synthesize!(batch.second_rates, harmonics)
+    synthesize!(batch.second_rate, harmonics)
     foreach(case -> set_time_functions!(case, kappa, offset), cases)
     return nothing
 end
 
 function set_time_functions!(coupled::CoupledCase, kappa, offset)
-    (; flow, area, inflow, share) = coupled
-    q1, d, p, second = (
+    (; flow, area, inflow, share, reference_flow) = coupled
+    q_rates, d, p, d2 = (
         s.signals for
-        s in (coupled.passive, coupled.stored, coupled.pressure, coupled.second_rates)
+        s in (coupled.passive, coupled.stored, coupled.pressure, coupled.second_rate)
     )
     coupled.has_reversed_flow = false
     @inbounds for t in eachindex(inflow)
-        flows = inflow[t], q1[t, 1], second[t, 1]
-        stored = d[t, 1], d[t, 2], second[t, 2]
+        flows = inflow[t], q_rates[t, 1], q_rates[t, 2]
+        stored = d[t, 1], d[t, 2], d2[t, 1]
         pressure, rate = p[t, 1] + offset, p[t, 2]
-        modes, rates = temporal_modes(flows, stored)
+        modes, rates = temporal_modes(flows, stored, reference_flow)
         storage = -kappa * (1 - share[t])
         fill_column!(flow, t, (flows[1], (storage .* (rate, 2 * pressure * rate, rates...))...))
         fill_column!(area, t, (pressure^2, one(pressure), pressure, modes...))
@@ -473,7 +493,7 @@ function fields!(
     flow, area, pressure, coupled::CoupledCase, vessel::VesselModes, workspace::FieldWorkspace,
 )
     # The modes of reversed flow, which are the last ones, are zero without reversed flow.
-    n_used = 3 + N_MODES - (coupled.has_reversed_flow ? 0 : N_PRODUCTS)
+    n_used = 3 + N_MODES - (coupled.has_reversed_flow ? 0 : N_DIRECTED)
     mean = coupled.mean_pressure
     function write!(field, in_z, in_time, rows)
         n_times = size(field, 2)

@@ -1,100 +1,253 @@
-# Pressure between a point and the outlet, from the momentum balance.
+# Pressure between a point and the outlet, from the momentum of the flow.
 #
-# Momentum balance of the cross-section, with a free jet behind every narrowing:
+# A boundary layer develops through every narrowing, and a jet behind it (`boundary_layer.jl`).
+# Along an interval Δz, the pressure of a steady flow Q falls by
 #
-#     −∂p/∂z = c_f·8πμ/S_u²·Q  +  c_i·ρ/S_u·∂Q/∂t  +  c_m·ρ/S_u·Q²·∂(1/A_j)/∂z.
+#     c_c·ρ/2·Δ(U²) + φ·Δz,    U = Q/(S_u·m(d)),    where the flow fills a narrowing vessel,
+#     c_j·ρ·Q²/S_u·Δ(1/A_j) + φ·Δz                  elsewhere,
 #
-# The area A_j(z) that carries the flow is S_u as long as the vessel narrows or widens slowly.
-# Where it widens faster, the flow separates. The jet's radius then grows by the spread s per
-# unit length until the jet fills the vessel again:
+# with a friction φ of c_f·4μU·d⁶/r_u² where the flow fills the vessel, and of c_s·8πμQ/S_u²
+# where it is separated. In a straight vessel, the first is c_f times Poiseuille's friction. For
+# a sudden expansion, the second line is the loss of Borda and Carnot, and the pressure drop that
+# is not recovered has the form of Seeley and Young's turbulent term. For reversed flow, the
+# vessel is mirrored.
 #
-#     √(A_j(z)/π) = min over z' ≤ z of √(S_u(z')/π) + s·(z − z').
+# The drop is computed at three Reynolds numbers of the inlet, and interpolated by
+#
+#     D(z, Q) = D₁(z)·x + D₂(z)·x²/(1 + x) + D₃(z)·x²,    x = |Q|/Q₀,
+#
+# where Q₀ has a Reynolds number of 60. An unsteady flow adds c_i·ρ/S_u·∂Q/∂t per length, and the
+# lag of the jet, whose fluid left the throat earlier:
+#
+#     −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz].
 #
 # With Q = q − ξ(z)·d, where q(t) is the inflow, d(t) the flow that the wall stores (q − Q(L))
-# and ξ(z) the share of the storage before z, the pressure is a sum of few products of a
-# function of z and a function of t.
+# and ξ(z) the share of the storage before z, the pressure is a sum of products of a function of
+# z and a function of t. The second term of D includes only the first order in d.
 
 """
-Number of products of q and d. The last modes are those of forward and of reversed flow.
+Reynolds number 2Q/(πνr) of the reference flow Q₀ at the inlet.
 """
-const N_PRODUCTS = 3
+const REFERENCE_REYNOLDS = 60.0
+
+"""
+Flows, relative to Q₀, at which the steady drop is computed. The lag of the jet is that of the
+second one.
+"""
+const FLOW_RATIOS = (0.5, 2.0, 8.0)
+
+"""
+Matrix (3, 3) from the drops at the [`FLOW_RATIOS`](@ref) to D₁, D₂, D₃.
+"""
+const DROP_TO_FACTORS = inv(reduce(vcat, [[x x^2/(1 + x) x^2] for x in FLOW_RATIOS]))
+
+"""
+Functions of z of one direction of the flow: the term of [`LossCoefficients`](@ref), a number and
+the power of ξ whose product each of the [`directed_modes`](@ref) has as factor.
+"""
+const DIRECTED_PRODUCTS =
+    ((1, 1, 0), (1, -1, 1), (2, 1, 0), (2, -1, 1), (3, 1, 0), (3, -2, 1), (3, 1, 2), (4, 1, 0))
+
+"""
+Number of modes of one direction of the flow. The last modes are those of reversed flow.
+"""
+const N_DIRECTED = length(DIRECTED_PRODUCTS)
 
 """
 Number of functions of z, and of t, in the losses.
 """
-const N_MODES = 4 + 2 * N_PRODUCTS
+const N_MODES = 2 + 2 * N_DIRECTED
 
 """
-    LossDensities(parameters, area_undeformed, z, physics)
+    LossParameters(vector)
 
-Densities in z of the three loss terms. `parameters` are c_f, c_i, c_m and the spread s.
+Parameters of the losses by name, in the order of their vector: c_f, c_i, c_c, c_g, β, c_j, c_s,
+s, s_ν and λ.
+"""
+struct LossParameters{T}
+    friction::T
+    inertia::T
+    core::T
+    layer_growth::T
+    jet_momentum::T
+    jet_recovery::T
+    jet_friction::T
+    jet_spread::T
+    jet_viscous_spread::T
+    jet_lag::T
+end
+
+LossParameters(vector::Vector{T}) where {T} =
+    LossParameters{T}(NTuple{fieldcount(LossParameters), T}(vector)...)
+
+"""
+    LossCoefficients(parameters, area_undeformed, z, physics)
+
+Coefficients of the losses of one vessel.
+
+# Arguments
+
+  - `parameters`: vector of the [`LossParameters`](@ref).
+  - `area_undeformed`: S_u, cm², (z).
+  - `z`: points, cm.
+  - `physics`: density and viscosity of the blood.
 
 # Fields
 
-  - `friction`, `inertia`: factors of Q and ∂Q/∂t, (z).
-  - `jet`, `jet_back`: factors of Q² for Q > 0 and for Q < 0, integrated over each interval,
-    (z − 1).
+  - `reference_flow`: Q₀, mL/s.
+  - `inertia`: factor of ∂Q/∂t, per length, (z).
+  - `forward`, `back`: D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over each
+    interval, (z − 1, 4), for Q > 0 and, with the sign of a drop in the direction of z, for Q < 0.
 """
-struct LossDensities{T}
-    friction::Vector{T}
+struct LossCoefficients{T}
+    reference_flow::Float64
     inertia::Vector{T}
-    jet::Vector{T}
-    jet_back::Vector{T}
+    forward::Matrix{T}
+    back::Matrix{T}
 end
 
-function LossDensities(parameters, area_undeformed, z, physics::Physics)
-    friction, inertia, convection, spread = parameters
-    steps = diff(z)
-    # With this mean, the intervals where A_j = S_u add up to the change of 1/(2·S_u²) exactly.
-    between = (1 ./ area_undeformed[2:end] .+ 1 ./ area_undeformed[1:(end - 1)]) ./ 2
-    jet(area, dz) = convection .* physics.density .* diff(1 ./ jet_area(area, dz, spread))
-    back = reverse(jet(reverse(area_undeformed), reverse(steps)))
-    return LossDensities(
-        friction .* 8π .* physics.viscosity ./ area_undeformed .^ 2,
-        inertia .* physics.density ./ area_undeformed,
-        jet(area_undeformed, steps) .* between,
-        .-back .* between,
+function LossCoefficients(parameters, area_undeformed, z, physics::Physics)
+    named = LossParameters(parameters)
+    viscosity = π * physics.viscosity / physics.density
+    radius = sqrt((area_undeformed[1] + area_undeformed[end]) / 2π)
+    reference_flow = REFERENCE_REYNOLDS / 2 * viscosity * radius
+    forward = directed_factors(named, area_undeformed, z, reference_flow, physics)
+    mirrored = reverse(area_undeformed), z[end] .- reverse(z)
+    back = directed_factors(named, mirrored..., reference_flow, physics)
+    return LossCoefficients(
+        reference_flow,
+        named.inertia .* physics.density ./ area_undeformed,
+        forward,
+        .-reverse(back; dims = 1),
     )
 end
 
 """
-    jet_area(area_undeformed, steps, spread)
+    directed_factors(parameters, area_undeformed, z, reference_flow, physics)
 
-A_j, cm², (z), of a flow in the direction of z; `steps` (z − 1) in cm. It is the smallest of
-all jets that could start upstream.
+Factors of a flow in the direction of z, (z − 1, 4), as in [`LossCoefficients`](@ref);
+`parameters` are [`LossParameters`](@ref).
 """
-function jet_area(area_undeformed, steps, spread)
-    growth = spread .* cumulative_sum(steps)
-    area = similar(growth)
-    narrowest = sqrt(area_undeformed[1] / π) - growth[1]
-    for i in eachindex(growth)
-        start = sqrt(area_undeformed[i] / π) - growth[i]
-        # Where the flow fills the vessel, A_j = S_u exactly: a straight vessel has no jet.
-        fills = start <= narrowest
-        narrowest = fills ? start : narrowest
-        area[i] = fills ? area_undeformed[i] : π * (growth[i] + narrowest)^2
+function directed_factors(
+    parameters::LossParameters{T}, area_undeformed, z, reference_flow, physics,
+) where {T}
+    factors = zeros(T, length(z) - 1, 4)
+    for (number, ratio) in pairs(FLOW_RATIOS)
+        flow = ratio * reference_flow
+        viscosity = π * physics.viscosity / (physics.density * flow)
+        layer = layer_thickness(area_undeformed, z, 4 * viscosity * parameters.layer_growth)
+        jet = jet_area(
+            area_undeformed, z, parameters.jet_momentum, parameters.jet_spread,
+            viscosity * parameters.jet_viscous_spread,
+        )
+        drop = steady_drop(parameters, flow, layer, jet, area_undeformed, z, physics)
+        for term in 1:3
+            factors[:, term] .+= DROP_TO_FACTORS[term, number] .* drop
+        end
+        number == 2 || continue
+        factors[:, 4] .= lag_factor(parameters, jet, area_undeformed, z, physics)
     end
-    return area
+    return factors
 end
 
 """
-    pressure_drop!(pressure, densities, flow, flow_rate, z)
+    steady_drop(parameters, flow, layer, jet, area_undeformed, z, physics)
+
+Drop of the pressure of a steady flow in the direction of z over each interval, dyn/cm², (z − 1).
+
+# Arguments
+
+  - `parameters`: [`LossParameters`](@ref).
+  - `flow`: Q, mL/s.
+  - `layer`, `jet`: d and A_j of this flow, (z).
+  - `area_undeformed`: S_u, cm², (z).
+  - `z`: points, cm.
+  - `physics`: density and viscosity of the blood.
+"""
+function steady_drop(
+    parameters::LossParameters{T}, flow, layer, jet, area_undeformed, z, physics,
+) where {T}
+    (; core, friction, jet_momentum, jet_recovery, jet_friction) = parameters
+    (; density, viscosity) = physics
+    function local_flow(i)
+        area, d = area_undeformed[i], layer[i]
+        filled = fills(jet[i], area, jet_momentum)
+        core_speed = flow / (area * mean_speed(d))
+        attached = friction * 4π * viscosity * core_speed * d^6 / area
+        separated = jet_friction * 8π * viscosity * flow / area^2
+        return area, filled, core_speed, filled ? attached : separated
+    end
+    drop = Vector{T}(undef, length(z) - 1)
+    s, _, speed, loss = local_flow(1)
+    for i in eachindex(drop)
+        next_s, filled, next_speed, next_loss = local_flow(i + 1)
+        drop[i] = (loss + next_loss) / 2 * (z[i + 1] - z[i])
+        if filled && next_s <= s
+            drop[i] += core * density / 2 * (next_speed^2 - speed^2)
+        else
+            change = 1 / jet[i + 1] - 1 / jet[i]
+            drop[i] += jet_recovery * flow^2 * density * middle_inverse(s, next_s) * change
+        end
+        s, speed, loss = next_s, next_speed, next_loss
+    end
+    return drop
+end
+
+"""
+    fills(jet, area_undeformed, momentum)
+
+Whether the flow fills the vessel at a point with the area A_j of the jet.
+"""
+fills(jet, area_undeformed, momentum) = jet >= area_undeformed / momentum
+
+"""
+    middle_inverse(a, b)
+
+Mean of 1/a and 1/b. With it, the intervals that the flow fills add up to the change of
+1/(2·S_u²) exactly.
+"""
+middle_inverse(a, b) = (1 / a + 1 / b) / 2
+
+"""
+    lag_factor(parameters, jet, area_undeformed, z, physics)
+
+Factor of ∂Q/∂t of the jet's lag over each interval, (z − 1); the arguments are those of
+[`steady_drop`](@ref).
+"""
+function lag_factor(parameters, jet, area_undeformed, z, physics)
+    (; jet_momentum, jet_lag) = parameters
+    separated(i) =
+        fills(jet[i], area_undeformed[i], jet_momentum) ? zero(eltype(jet)) : jet[i]
+    volume = cumulative_integral(separated.(eachindex(jet)), z)
+    lag = (1 ./ jet .- jet_momentum ./ area_undeformed) .* volume
+    @views inverses = middle_inverse.(area_undeformed[1:(end - 1)], area_undeformed[2:end])
+    return -2 .* jet_lag .* physics.density .* inverses .* diff(lag)
+end
+
+"""
+    pressure_drop!(pressure, coefficients, flow, flow_rate, z)
 
 p − p(L), dyn/cm², (z, time), of a known flow Q and its derivative ∂Q/∂t.
 """
-function pressure_drop!(pressure, densities::LossDensities, flow, flow_rate, z)
-    (; friction, inertia, jet, jet_back) = densities
+function pressure_drop!(pressure, coefficients::LossCoefficients, flow, flow_rate, z)
+    (; reference_flow, inertia, forward, back) = coefficients
     n = length(z)
     @inbounds for t in axes(flow, 2)
-        smooth(i) = friction[i] * flow[i, t] + inertia[i] * flow_rate[i, t]
         pressure[n, t] = zero(eltype(pressure))
-        after = smooth(n)
+        after = inertia[n] * flow_rate[n, t]
         for i in (n - 1):-1:1
-            here, middle = smooth(i), (flow[i, t] + flow[i + 1, t]) / 2
-            factor = middle > 0 ? jet[i] : jet_back[i]
+            here = inertia[i] * flow_rate[i, t]
+            x = (flow[i, t] + flow[i + 1, t]) / (2 * reference_flow)
+            rate = sign(x) * (flow_rate[i, t] + flow_rate[i + 1, t]) / 2
+            factors = x > 0 ? forward : back
+            size = abs(x)
+            square = size^2
             pressure[i, t] =
                 pressure[i + 1, t] + (here + after) / 2 * (z[i + 1] - z[i]) +
-                factor * middle^2
+                factors[i, 1] * size +
+                factors[i, 2] * (square / (1 + size)) +
+                factors[i, 3] * square +
+                factors[i, 4] * rate
             after = here
         end
     end
@@ -102,49 +255,106 @@ function pressure_drop!(pressure, densities::LossDensities, flow, flow_rate, z)
 end
 
 """
-    spatial_modes(densities, share, z)
+    spatial_modes(coefficients, share, z)
 
-Functions of z, (z, 10), that belong to [`temporal_modes`](@ref); `share` (z) is ξ.
+Functions of z, (z, 18), that belong to [`temporal_modes`](@ref); `share` (z) is ξ.
 """
-function spatial_modes(densities::LossDensities, share, z)
-    (; friction, inertia, jet, jet_back) = densities
-    between = (share[2:end] .+ share[1:(end - 1)]) ./ 2
-    smooth = (friction, .-friction .* share, inertia, .-inertia .* share)
-    jets = [
-        cumulative_sum(b .* factor) for b in (jet, jet_back) for
-        factor in (one.(between), -2 .* between, between .^ 2)
-    ]
-    return reduce(
-        hcat, [[integral_to_outlet(f, z) for f in smooth]; [j[end] .- j for j in jets]],
+function spatial_modes(coefficients::LossCoefficients{T}, share, z) where {T}
+    (; inertia, forward, back) = coefficients
+    @views between = (share[2:end] .+ share[1:(end - 1)]) ./ 2
+    modes = Matrix{T}(undef, length(z), N_MODES)
+    modes[:, 1] = integral_to_outlet(inertia, z)
+    modes[:, 2] = integral_to_outlet(.-inertia .* share, z)
+    column = 2
+    for factors in (forward, back), (term, number, power) in DIRECTED_PRODUCTS
+        @views sums = cumulative_sum(number .* factors[:, term] .* between .^ power)
+        column += 1
+        modes[:, column] .= sums[end] .- sums
+    end
+    return modes
+end
+
+"""
+    temporal_modes(inflow, stored, reference_flow)
+
+Functions of time at one time point and their derivatives, 18 each: ∂q/∂t, ∂d/∂t, then the
+[`directed_modes`](@ref) for forward flow, then the same for reversed flow. `inflow` and `stored`
+are q and d, mL/s, with their first and second derivatives; `reference_flow` is Q₀, mL/s.
+"""
+@inline function temporal_modes(inflow, stored, reference_flow)
+    (q, q1, q2), (d, d1, d2) = inflow, stored
+    forward = is_forward(q, d)
+    onward(numbers) = map(number -> ifelse(forward, number, zero(number)), numbers)
+    reversed(numbers) = map(number -> ifelse(forward, zero(number), number), numbers)
+    modes = directed_modes(inflow, stored, reference_flow)
+    rates = directed_rates(inflow, stored, reference_flow)
+    return (
+        (q1, d1, onward(modes)..., reversed(modes)...),
+        (q2, d2, onward(rates)..., reversed(rates)...),
     )
 end
 
 """
-    temporal_modes(inflow, stored)
+    directed_modes(inflow, stored, reference_flow)
 
-Functions of time at one time point and their derivatives, ten each: q, d, ∂q/∂t, ∂d/∂t, then
-q², q·d, d² for forward flow, then the same for reversed flow. The direction is that of
-q − d/2, in the middle of the storage. `inflow` and `stored` are q and d with their first and
-second derivatives.
+Functions of time of the flow's direction, eight numbers: with q and d over Q₀ and
+f = q²/(1 + q), they are q, d, f, f'(q)·d, q², q·d, d² and ∂q/∂t. They have the opposite sign of q
+and d where the flow is reversed. The arguments are those of [`temporal_modes`](@ref).
 """
-@inline function temporal_modes(inflow, stored)
-    (q, q1, q2), (d, d1, d2) = inflow, stored
-    products, rates = (q * q, q * d, d * d), product_rates(q, q1, d, d1)
-    forward, none = is_forward(q, d), zero(d)
-    directed(values) = (ifelse.(forward, values, none)..., ifelse.(forward, none, values)...)
-    return (q, d, q1, d1, directed(products)...), (q1, d1, q2, d2, directed(rates)...)
+@inline function directed_modes(inflow, stored, reference_flow)
+    (q0, q1), (d0,) = inflow, stored
+    direction = flow_direction(q0, d0)
+    q, d = direction * q0 / reference_flow, direction * d0 / reference_flow
+    # Where the directions differ along the vessel, q may have the other sign.
+    size = max(q, zero(q))
+    return (
+        q, d, size^2 / (1 + size), rational_slope(size) * d, q * q, q * d, d * d,
+        direction * q1,
+    )
 end
 
 """
-    product_rates(q, q1, d, d1)
+    directed_rates(inflow, stored, reference_flow)
 
-∂/∂t of q², q·d and d², from q and d and their derivatives.
+∂/∂t of the [`directed_modes`](@ref).
 """
-product_rates(q, q1, d, d1) = (2 * q * q1, q1 * d + q * d1, 2 * d * d1)
+@inline function directed_rates(inflow, stored, reference_flow)
+    (q0, q1, q2), (d0, d1) = inflow, stored
+    direction = flow_direction(q0, d0)
+    factor = direction / reference_flow
+    q, q_rate, d, d_rate = factor * q0, factor * q1, factor * d0, factor * d1
+    size = max(q, zero(q))
+    slope, bend = rational_slope(size), 2 / (1 + size)^3
+    return (
+        q_rate,
+        d_rate,
+        slope * q_rate,
+        bend * q_rate * d + slope * d_rate,
+        2 * q * q_rate,
+        q_rate * d + q * d_rate,
+        2 * d * d_rate,
+        direction * q2,
+    )
+end
+
+"""
+    rational_slope(x)
+
+Derivative of x²/(1 + x).
+"""
+rational_slope(x) = x * (2 + x) / (1 + x)^2
 
 """
     is_forward(flow, stored)
 
-Whether the flow in the middle of the storage, q − d/2, is not reversed.
+Whether the flow in the middle of the storage, q − d/2, is not reversed. Where the directions
+differ along the vessel, the flow and the terms that depend on its direction are nearly zero.
 """
 is_forward(flow, stored) = flow - stored / 2 >= 0
+
+"""
+    flow_direction(flow, stored)
+
+1 for forward and −1 for reversed flow; see [`is_forward`](@ref).
+"""
+flow_direction(flow, stored) = ifelse(is_forward(flow, stored), 1.0, -1.0)

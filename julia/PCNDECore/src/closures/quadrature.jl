@@ -1,4 +1,4 @@
-# Integrals along the vessel, and harmonics and derivatives over the cycle.
+# Integrals along the vessel, and harmonics over the cycle.
 
 """
     cumulative_integral(density, z)
@@ -146,22 +146,6 @@ function synthesize!(spectra::Spectra, harmonics::Harmonics)
         end
     end
     return nothing
-end
-
-"""
-    time_derivative(harmonics, signals)
-
-∂f/∂t of periodic signals (signal, time), exact for their Fourier series.
-"""
-function time_derivative(harmonics::Harmonics, signals::AbstractMatrix{Float64})
-    spectra = Spectra(Float64, harmonics, size(signals, 1))
-    permutedims!(spectra.signals, signals, (2, 1))
-    analyze!(spectra, harmonics)
-    (; real, imaginary) = spectra
-    # iω·(a + ib) = −ωb + iωa.
-    real[:, :], imaginary[:, :] = .-harmonics.omega .* imaginary, harmonics.omega .* real
-    synthesize!(spectra, harmonics)
-    return permutedims(spectra.signals)
 end
 
 """
