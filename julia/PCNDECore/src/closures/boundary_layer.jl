@@ -89,8 +89,8 @@ clamp_layer(d) = clamp(d, THINNEST_LAYER, 1)
 """
     layer_rate(d, slope, growth)
 
-d', 1/cm, and its derivative with respect to d. The equation is multiplied by m³, so that both of
-its sides are polynomials apart from 1/d.
+d', 1/cm, and its derivative with respect to d. The equation is multiplied by m³, so that both
+of its sides are polynomials apart from 1/d.
 """
 @inline function layer_rate(d, slope, growth)
     m, m_d, m_dd = mean_speed(d), d / 3 - 2 / 3, 1 / 3

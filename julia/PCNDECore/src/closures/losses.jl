@@ -8,16 +8,16 @@
 #
 # with a friction φ of c_f·4μU·d⁶/r_u² where the flow fills the vessel, and of c_s·8πμQ/S_u²
 # where it is separated. In a straight vessel, the first is c_f times Poiseuille's friction. For
-# a sudden expansion, the second line is the loss of Borda and Carnot, and the pressure drop that
-# is not recovered has the form of Seeley and Young's turbulent term. For reversed flow, the
-# vessel is mirrored.
+# a sudden expansion, the second line is the loss of Borda and Carnot, and the pressure drop
+# that is not recovered has the form of Seeley and Young's turbulent term. For reversed flow,
+# the vessel is mirrored.
 #
 # The drop is computed at three Reynolds numbers of the inlet, and interpolated by
 #
 #     D(z, Q) = D₁(z)·x + D₂(z)·x²/(1 + x) + D₃(z)·x²,    x = |Q|/Q₀,
 #
-# where Q₀ has a Reynolds number of 60. An unsteady flow adds c_i·ρ/S_u·∂Q/∂t per length, and the
-# lag of the jet, whose fluid left the throat earlier:
+# where Q₀ has a Reynolds number of 60. An unsteady flow adds c_i·ρ/S_u·∂Q/∂t per length, and
+# the lag of the jet, whose fluid left the throat earlier:
 #
 #     −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz].
 #
@@ -42,8 +42,8 @@ Matrix (3, 3) from the drops at the [`FLOW_RATIOS`](@ref) to D₁, D₂, D₃.
 const DROP_TO_FACTORS = inv(reduce(vcat, [[x x^2/(1 + x) x^2] for x in FLOW_RATIOS]))
 
 """
-Functions of z of one direction of the flow: the term of [`LossCoefficients`](@ref), a number and
-the power of ξ whose product each of the [`directed_modes`](@ref) has as factor.
+Functions of z that belong to the [`directed_modes`](@ref): each is the product of a term of
+[`LossCoefficients`](@ref), a number and a power of ξ.
 """
 const DIRECTED_PRODUCTS =
     ((1, 1, 0), (1, -1, 1), (2, 1, 0), (2, -1, 1), (3, 1, 0), (3, -2, 1), (3, 1, 2), (4, 1, 0))
@@ -96,8 +96,9 @@ Coefficients of the losses of one vessel.
 
   - `reference_flow`: Q₀, mL/s.
   - `inertia`: factor of ∂Q/∂t, per length, (z).
-  - `forward`, `back`: D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over each
-    interval, (z − 1, 4), for Q > 0 and, with the sign of a drop in the direction of z, for Q < 0.
+  - `forward`, `back`: D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over
+    each interval, (z − 1, 4), for Q > 0 and for Q < 0. The sign is that of a drop in the
+    direction of z.
 """
 struct LossCoefficients{T}
     reference_flow::Float64
@@ -153,7 +154,7 @@ end
 """
     steady_drop(parameters, flow, layer, jet, area_undeformed, z, physics)
 
-Drop of the pressure of a steady flow in the direction of z over each interval, dyn/cm², (z − 1).
+Pressure drop of a steady flow in the direction of z over each interval, dyn/cm², (z − 1).
 
 # Arguments
 
@@ -278,8 +279,9 @@ end
     temporal_modes(inflow, stored, reference_flow)
 
 Functions of time at one time point and their derivatives, 18 each: ∂q/∂t, ∂d/∂t, then the
-[`directed_modes`](@ref) for forward flow, then the same for reversed flow. `inflow` and `stored`
-are q and d, mL/s, with their first and second derivatives; `reference_flow` is Q₀, mL/s.
+[`directed_modes`](@ref) for forward flow, then the same for reversed flow. `inflow` and
+`stored` are q and d, mL/s, with their first and second derivatives; `reference_flow` is Q₀,
+mL/s.
 """
 @inline function temporal_modes(inflow, stored, reference_flow)
     (q, q1, q2), (d, d1, d2) = inflow, stored
@@ -297,9 +299,10 @@ end
 """
     directed_modes(inflow, stored, reference_flow)
 
-Functions of time of the flow's direction, eight numbers: with q and d over Q₀ and
-f = q²/(1 + q), they are q, d, f, f'(q)·d, q², q·d, d² and ∂q/∂t. They have the opposite sign of q
-and d where the flow is reversed. The arguments are those of [`temporal_modes`](@ref).
+Functions of time for the direction of the flow: with q and d relative to Q₀ and
+f = q²/(1 + q), they are q, d, f, f'(q)·d, q², q·d, d² and ∂q/∂t in mL/s². Where the flow is
+reversed, q and d are replaced by −q and −d. The arguments are those of
+[`temporal_modes`](@ref).
 """
 @inline function directed_modes(inflow, stored, reference_flow)
     (q0, q1), (d0,) = inflow, stored
