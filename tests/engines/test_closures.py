@@ -322,8 +322,8 @@ def test_jet_grows_by_the_spread_until_it_fills_the_vessel(spread, viscous_sprea
     expected = np.tile(s_u / 1.25, (2, 1))
     for i, step in enumerate(np.diff(Z)):
         radius = np.sqrt(expected[:, i] / np.pi)
-        growth = spread + viscous_spread * VISCOUS_LENGTH / flow * radius
-        jet = np.pi * (radius + growth * step) ** 2
+        half = step / 2 * viscous_spread * VISCOUS_LENGTH / flow
+        jet = np.pi * ((radius * (1 + half) + spread * step) / (1 - half)) ** 2
         expected[:, i + 1] = np.minimum(s_u[i + 1] / 1.25, jet)
     assert np.allclose(found, expected, rtol=1e-12)
     separated = (found[1] < 0.999 * s_u / 1.25).any()
@@ -401,7 +401,7 @@ def test_drop_is_exact_at_three_flows_and_between_in_between(direction):
         filled = jet[:, both] >= s_u[both] / 1.25
         attached = 1.2 * 4 * BLOOD.viscosity * speed * layer[:, both] ** 6 * np.pi / s_u[both]
         apart = 1.15 * 8 * np.pi * BLOOD.viscosity * flows[:, None] / s_u[both] ** 2
-        friction = np.where(filled, attached, apart).mean(axis=1) * (Z[i + 1] - Z[i])
+        friction = np.where(filled[:, 1:], attached, apart).mean(axis=1) * (Z[i + 1] - Z[i])
         core = 0.9 * BLOOD.density / 2 * np.diff(speed**2, axis=1)[:, 0]
         given = np.diff(1 / jet[:, both], axis=1)[:, 0]
         mixed = 0.95 * BLOOD.density * flows**2 * (1 / s_u[both]).mean() * given

@@ -321,7 +321,8 @@ def interval_drops(s, flow, p):
     volume = np.zeros(N_POINTS)
     for i in range(1, N_POINTS):
         r = np.sqrt(area[i - 1] / np.pi)
-        grown = np.pi * (r + h * (p.spread + p.viscous_spread * viscosity * r)) ** 2
+        rate = p.viscous_spread * viscosity
+        grown = np.pi * (r * np.exp(rate * h) + p.spread * np.expm1(rate * h) / rate) ** 2
         if grown < filled_area[i]:
             before = 0.0 if is_filled[i - 1] else area[i - 1]
             area[i], is_filled[i] = grown, False
@@ -329,12 +330,13 @@ def interval_drops(s, flow, p):
     speed = flow / (s * mean_speed(d)[0])
     attached = p.friction * 4 * np.pi * VISCOSITY * speed * d**6 / s
     separated = p.jet_friction * 8 * np.pi * VISCOSITY * flow / s**2
-    friction = np.where(is_filled, attached, separated)
+    attached, separated = ((f[1:] + f[:-1]) / 2 for f in (attached, separated))
+    friction = np.where(is_filled[1:], attached, separated)
     per_area = (1 / s[1:] + 1 / s[:-1]) / 2
     mixed = p.recovery * DENSITY * flow**2 * per_area * np.diff(1 / area)
     accelerated = p.core * DENSITY / 2 * np.diff(speed**2)
     narrows = is_filled[1:] & (np.diff(s) <= 0)
-    drop = np.where(narrows, accelerated, mixed) + h * (friction[1:] + friction[:-1]) / 2
+    drop = np.where(narrows, accelerated, mixed) + h * friction
     lag = -2 * p.lag * DENSITY * per_area * np.diff((1 / area - 1 / filled_area) * volume)
     return drop, lag
 

@@ -124,7 +124,9 @@ function jet_area(area_undeformed, z, momentum::T, spread::T, viscous_spread::T)
     radius = filled_radius(1)
     area[1] = area_undeformed[1] / momentum
     for i in 2:length(z)
-        radius += (z[i] - z[i - 1]) * (spread + viscous_spread * radius)
+        dz = z[i] - z[i - 1]
+        half = dz / 2 * viscous_spread
+        radius = (radius * (1 + half) + dz * spread) / (1 - half)
         limit = filled_radius(i)
         # Exactly S_u/β where the flow fills the vessel: a straight vessel has no jet.
         fills = radius >= limit

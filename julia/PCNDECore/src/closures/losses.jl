@@ -176,13 +176,14 @@ function steady_drop(
         core_speed = flow / (area * mean_speed(d))
         attached = friction * 4π * viscosity * core_speed * d^6 / area
         separated = jet_friction * 8π * viscosity * flow / area^2
-        return area, filled, core_speed, filled ? attached : separated
+        return area, filled, core_speed, (attached, separated)
     end
     drop = Vector{T}(undef, length(z) - 1)
     s, _, speed, loss = local_flow(1)
     for i in eachindex(drop)
         next_s, filled, next_speed, next_loss = local_flow(i + 1)
-        drop[i] = (loss + next_loss) / 2 * (z[i + 1] - z[i])
+        kind = filled ? 1 : 2
+        drop[i] = (loss[kind] + next_loss[kind]) / 2 * (z[i + 1] - z[i])
         if filled && next_s <= s
             drop[i] += core * density / 2 * (next_speed^2 - speed^2)
         else

@@ -82,7 +82,8 @@ def along_vessel(
         dz, slope, limit = interval
         for _ in range(_STEPS):
             d = _layer_step(d, dz / _STEPS, slope, 4 * growth * viscosity)
-        radius = jnp.minimum(radius + dz * (spread + viscous_spread * viscosity * radius), limit)
+        half = dz / 2 * viscous_spread * viscosity
+        radius = jnp.minimum((radius * (1 + half) + dz * spread) / (1 - half), limit)
         return (d, radius), (d, radius)
 
     steps = jnp.diff(z)

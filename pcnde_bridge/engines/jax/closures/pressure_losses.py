@@ -138,7 +138,7 @@ def _directed(
     core = flow / (area * mean_speed(layer))
     attached = p.friction * 4 * jnp.pi * viscosity * core * layer**6 / area
     separated = p.jet_friction * 8 * jnp.pi * viscosity * flow / area**2
-    friction = _middle(jnp.where(filled, attached, separated)) * steps
+    friction = jnp.where(filled[:, 1:], _middle(attached), _middle(separated)) * steps
     # With this mean the intervals that the flow fills add up to the change of 1/(2·S_u²) exactly.
     per_area = density * _middle(1 / area)
     accelerated = p.core * density / 2 * jnp.diff(core**2)
