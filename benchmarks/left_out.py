@@ -3,8 +3,8 @@
 Run ``python benchmarks/left_out.py [DATA] [--preset fast] [--change JSON] [--folds pairs]
 [--seeds 0 1] [--engine jax]``.  Each fold leaves whole geometries and waveforms out of the
 training cases of the paper's split, fits the rest and evaluates the left-out cases.  Prints the
-relative errors of flow, area, pressure and pressure drop, ×1e-4: the mean of the seeds for each fold, and the
-mean and root mean square over the folds.
+relative errors of flow, area, pressure and pressure drop, ×1e-4: the mean of the seeds for each
+fold, and the mean and root mean square over the folds.
 """
 
 from __future__ import annotations
