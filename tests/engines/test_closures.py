@@ -246,7 +246,7 @@ def test_straight_vessel_has_no_jet_and_a_fully_developed_layer():
     dynamic = BLOOD.density * (FLOW.max() / 0.125) ** 2
     assert np.abs(drop_of(JET, FLOW, STRAIGHT)).max() < 1e-14 * dynamic
     assert np.abs(drop_of(JET, -FLOW, STRAIGHT)).max() < 1e-14 * dynamic
-    layer, jet = along(STRAIGHT, Z, np.array([0.1, 1.0, 10.0]))
+    layer, jet, _ = along(STRAIGHT, Z, np.array([0.1, 1.0, 10.0]))
     assert (layer == 1).all()
     assert np.array_equal(jet, np.broadcast_to(STRAIGHT / 1.25, jet.shape))
 
@@ -318,7 +318,7 @@ def test_reversed_flow_through_the_mirrored_vessel_has_the_opposite_drop():
 @pytest.mark.parametrize("spread", [0.05, 0.12, 5.0])
 def test_jet_grows_by_the_spread_until_it_fills_the_vessel(spread, viscous_spread):
     s_u, flow = vessel(1.1, 2.4, blockage=0.7), np.array([0.4, 6.0])
-    _, found = along(s_u, Z, flow, spread=spread, viscous_spread=viscous_spread)
+    _, found, _ = along(s_u, Z, flow, spread=spread, viscous_spread=viscous_spread)
     expected = np.tile(s_u / 1.25, (2, 1))
     for i, step in enumerate(np.diff(Z)):
         radius = np.sqrt(expected[:, i] / np.pi)
@@ -362,7 +362,7 @@ def test_layer_follows_its_equation(flow):
     errors = []
     for refinement in (1, 2, 4, 8):
         z = np.linspace(0, 4, 40 * refinement + 1)
-        found, _ = along(vessel(1.3, z=z), z, np.array([flow]))
+        found, *_ = along(vessel(1.3, z=z), z, np.array([flow]))
         errors.append(np.abs(found[0, ::refinement] - exact).max())
     assert errors[-1] < 1e-3
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -372,7 +372,7 @@ def test_layer_follows_its_equation(flow):
 def test_thin_layer_grows_like_that_of_a_plate():
     # δ² = 30 ν z/U with the quadratic profile, where the layer is thin.
     z, flow = np.linspace(0, 2, 401), 200.0
-    layer, _ = along(0.125 * funnel(z), z, np.array([flow]), growth=1.0)
+    layer, *_ = along(0.125 * funnel(z), z, np.array([flow]), growth=1.0)
     start = np.searchsorted(z, 1.0)
     grown = layer[0, start:] ** 2 - layer[0, start] ** 2
     expected = 30 * VISCOUS_LENGTH / flow * (z[start:] - 1)
@@ -392,7 +392,7 @@ def test_drop_is_exact_at_three_flows_and_between_in_between(direction):
     found = drop(LOSSES, flow, 0 * flow, s_u, Z)
     if direction < 0:  # as of the mirrored vessel
         found, s_u = found[:, ::-1] - found[:, :1], s_u[::-1]
-    layer, jet = along(s_u, Z, flows)
+    layer, jet, _ = along(s_u, Z, flows)
     expected = np.zeros((5, 41))
     for i in range(39, -1, -1):
         both = slice(i, i + 2)

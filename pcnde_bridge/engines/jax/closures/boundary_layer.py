@@ -27,9 +27,13 @@ a laminar one.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+
+_Jet = tuple[jax.Array, jax.Array]
+"""Area and volume of the jet."""
 
 _STEPS = 2
 """Steps of the layer's equation in each interval between two points."""
@@ -54,7 +58,7 @@ def along_vessel(
     momentum: jax.Array,
     spread: jax.Array,
     viscous_spread: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """March layer and jet from the inlet, where the flow is Poiseuille's.
 
     Parameters
@@ -70,46 +74,66 @@ def along_vessel(
 
     Returns
     -------
-    thickness, jet : arrays of shape (flow, z)
-        d, and the area A_j of the jet, cm², which is S_u/β where the flow fills the vessel.
+    thickness, jet, volume : arrays of shape (flow, z)
+        d; the area A_j of the jet, cm², which is S_u/β where the flow fills the vessel; and the
+        jet's volume since its beginning, cm³.
     """
-    filled = jnp.sqrt(area / (jnp.pi * momentum))
-
-    def advance(
-        before: tuple[jax.Array, jax.Array], interval: tuple[jax.Array, ...]
-    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-        d, radius = before
-        dz, slope, limit = interval
-        for _ in range(_STEPS):
-            d = _layer_step(d, dz / _STEPS, slope, 4 * growth * viscosity)
-        half = dz / 2 * viscous_spread * viscosity
-        radius = jnp.minimum((radius * (1 + half) + dz * spread) / (1 - half), limit)
-        return (d, radius), (d, radius)
-
     steps = jnp.diff(z)
-    first = jnp.ones_like(viscosity), jnp.full_like(viscosity, filled[0])
-    intervals = steps, jnp.diff(jnp.log(area)) / steps, filled[1:]
-    _, marched = jax.lax.scan(advance, first, intervals)
-    thickness, radius = (
-        jnp.concatenate([start[:, None], rest.T], axis=1)
-        for start, rest in zip(first, marched, strict=True)
-    )
-    # Exactly S_u/β where the flow fills the vessel: a straight vessel has no jet at all.
-    jet = jnp.where(radius >= filled, area / momentum, jnp.pi * radius**2)
-    return thickness, jet
+    filled = area / momentum
+    layer_growth, jet_growth = 4 * growth * viscosity, viscous_spread * viscosity / 2
+
+    def grow_layer(d: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        after = _layer_step(d, *step, layer_growth)
+        return after, after
+
+    def grow_jet(before: _Jet, interval: tuple[jax.Array, ...]) -> tuple[_Jet, _Jet]:
+        jet, volume = before
+        dz, last_limit, limit = interval
+        # The implicit midpoint rule.
+        half = dz * jet_growth
+        radius = (jnp.sqrt(jet / jnp.pi) * (1 + half) + dz * spread) / (1 - half)
+        grown = jnp.pi * radius**2
+        # Exactly S_u/β where the flow fills the vessel: a straight vessel has no jet at all.
+        fills = grown >= limit
+        after = jnp.where(fills, limit, grown)
+        begins = jnp.where(jet >= last_limit, 0.0, jet)
+        volume = jnp.where(fills, 0.0, volume + dz * (begins + after) / 2)
+        return (after, volume), (after, volume)
+
+    def march(function: Any, first: Any, intervals: tuple[jax.Array, ...], stride: int) -> Any:
+        _, later = jax.lax.scan(function, first, intervals)
+        return jax.tree.map(
+            lambda start, rest: jnp.concatenate([start[None], rest[stride - 1 :: stride]]).T,
+            first,
+            later,
+        )
+
+    one = jnp.ones_like(viscosity)
+    slope = jnp.diff(jnp.log(area)) / steps
+    layer_steps = jnp.repeat(steps / _STEPS, _STEPS), jnp.repeat(slope, _STEPS)
+    thickness = march(grow_layer, one, layer_steps, _STEPS)
+    jet, volume = march(grow_jet, (filled[0] * one, 0 * one), (steps, filled[:-1], filled[1:]), 1)
+    return thickness, jet, volume
 
 
 def _layer_step(d: jax.Array, dz: jax.Array, slope: jax.Array, growth: jax.Array) -> jax.Array:
     """Advance d by a linearly implicit step, which is stable for any growth and step."""
-
-    def rate(d: jax.Array) -> jax.Array:
-        m, m_d = mean_speed(d), -2 / 3 + d / 3
-        k, k_d = 1 - 14 / 15 * d + 4 / 15 * d**2, -14 / 15 + 8 / 15 * d
-        inertia = k_d / m**2 - 2 * k * m_d / m**3 + m_d / m**3
-        return (-slope * (1 - k) / m**2 + growth / m * (d**6 - 1 / d)) / inertia
-
-    value, derivative = jax.jvp(rate, (d,), (jnp.ones_like(d),))
+    rate, derivative = _layer_rate(d, slope, growth)
     matrix = 1 - _GAMMA * dz * derivative
-    first = value / matrix
-    second = (rate(jnp.clip(d + dz * first, _THINNEST, 1.0)) - 2 * first) / matrix
+    first = rate / matrix
+    middle, _ = _layer_rate(jnp.clip(d + dz * first, _THINNEST, 1.0), slope, growth)
+    second = (middle - 2 * first) / matrix
     return jnp.clip(d + dz * (1.5 * first + 0.5 * second), _THINNEST, 1.0)
+
+
+def _layer_rate(d: jax.Array, slope: jax.Array, growth: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return d', 1/cm, and its derivative in d, from the equation multiplied by m³."""
+    m, m_d, m_dd = mean_speed(d), d / 3 - 2 / 3, 1 / 3
+    k, k_d, k_dd = 1 - 14 / 15 * d + 4 / 15 * d**2, 8 / 15 * d - 14 / 15, 8 / 15
+    viscous, viscous_d = d**6 - 1 / d, 6 * d**5 + 1 / d**2
+    inertia = k_d * m + (1 - 2 * k) * m_d
+    inertia_d = k_dd * m - k_d * m_d + (1 - 2 * k) * m_dd
+    force = growth * m**2 * viscous - slope * (1 - k) * m
+    force_d = growth * m * (2 * m_d * viscous + m * viscous_d) + slope * (k_d * m - (1 - k) * m_d)
+    rate = force / inertia
+    return rate, (force_d - rate * inertia_d) / inertia

@@ -113,9 +113,10 @@ def coefficients(
     kinematic = jnp.pi * physics.viscosity / physics.density
     radius = jnp.sqrt((area_undeformed[0] + area_undeformed[-1]) / (2 * jnp.pi))
     reference = _REYNOLDS / 2 * kinematic * radius
-    forward = _directed(p, area_undeformed, z, reference, physics)
-    back = _directed(p, area_undeformed[::-1], z[-1] - z[::-1], reference, physics)[:, ::-1]
-    return Coefficients(reference, p.inertia * physics.density / area_undeformed, forward, -back)
+    both = jnp.stack([area_undeformed, area_undeformed[::-1]]), jnp.stack([z, z[-1] - z[::-1]])
+    forward, back = jax.vmap(lambda s, x: _directed(p, s, x, reference, physics))(*both)
+    inertia = p.inertia * physics.density / area_undeformed
+    return Coefficients(reference, inertia, forward, -back[:, ::-1])
 
 
 def _directed(
@@ -124,7 +125,7 @@ def _directed(
     """Return the drops over each interval of a flow in the direction of z, (4, z − 1)."""
     density, viscosity = physics.density, physics.viscosity
     flow = (reference * _FLOWS)[:, None]
-    layer, jet = along_vessel(
+    layer, jet, volume = along_vessel(
         area,
         z,
         jnp.pi * viscosity / density / flow[:, 0],
@@ -145,9 +146,6 @@ def _directed(
     mixed = p.jet_recovery * flow**2 * per_area * jnp.diff(1 / jet)
     narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
     factors = _TO_FACTORS @ (jnp.where(narrows, accelerated, mixed) + friction)
-    volume = summed_from_inlet(_middle(jnp.where(filled, 0, jet)) * steps)
-    # Without the volume of jets that ended before.
-    volume = volume - jax.lax.cummax(jnp.where(filled, volume, 0), axis=1)
     lag = (1 / jet - p.jet_momentum / area) * volume
     # The lag is that of the middle one of the flows.
     return jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
@@ -176,8 +174,9 @@ def drop(
     x = _middle(flow) / c.reference_flow
     functions = jnp.stack([*_steady(jnp.abs(x)), jnp.sign(x) * _middle(flow_rate)])
     factors = jnp.where(x > 0, c.forward[:, None], c.back[:, None])
-    summed = summed_from_inlet(jnp.sum(factors * functions, axis=0))
-    return to_outlet(c.inertia * flow_rate, z) + summed[:, -1:] - summed
+    inertia = _middle(c.inertia * flow_rate) * jnp.diff(z)
+    summed = summed_from_inlet(jnp.sum(factors * functions, axis=0) + inertia)
+    return summed[:, -1:] - summed
 
 
 def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array:
