@@ -30,6 +30,7 @@ from pcnde_bridge import (
     PCNDE,
     Cases,
     InputError,
+    Prediction,
     Split,
     load_cases,
 )
@@ -80,8 +81,23 @@ def fit_and_measure(data: str, split: str, preset: str, engine: str, seed: int) 
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
     if model.uncertainty is not None:
-        result["coverage"] = coverage(model.predict(test, samples=64).interval(0.9), test)
+        prediction = model.predict(test, samples=64)
+        result["coverage"] = coverage(prediction.interval(0.9), test) | coverage_of_drops(
+            prediction, test
+        )
     return result
+
+
+def coverage_of_drops(prediction: Prediction, cases: Cases) -> dict[str, float]:
+    """Return the shares of pressure drops and of FFR that lie in their 90 % intervals."""
+    samples = list(prediction.each_sample())
+    found = {}
+    for name in ("pressure_drop", "ffr"):
+        values = np.stack([getattr(sample, name)() for sample in samples])
+        low, high = np.quantile(values, [0.05, 0.95], axis=0)
+        truth = getattr(cases, name)()
+        found[name] = float(((low <= truth) & (truth <= high)).mean())
+    return found
 
 
 def measure_baselines(data: str, split: str, seed: int) -> dict[str, dict[str, dict[str, float]]]:
@@ -126,7 +142,9 @@ def summarize(results: list[dict[str, Any]]) -> dict[str, Any]:
     }
     rows |= {name: [r[name] for r in results] for name in ("seconds", "peak_mb")}
     if "coverage" in results[0]:
-        rows |= {f"coverage {v}": [r["coverage"][v] for r in results] for v in VARIABLES}
+        rows |= {
+            f"coverage {v}": [r["coverage"][v] for r in results] for v in results[0]["coverage"]
+        }
     return {name: (statistics.median(values), max(values)) for name, values in rows.items()}
 
 
