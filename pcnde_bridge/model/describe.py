@@ -10,13 +10,14 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, with_prefix
-from pcnde_bridge._utils.validation import listed
+from pcnde_bridge._utils.validation import listed, whole
 from pcnde_bridge.config import PRESETS, Config, config_from
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.model.ensemble import MEMBER_PREFIX, Ensemble
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.training.closure_training import ClosureTraining
+from pcnde_bridge.training.provenance import provenance_from
 from pcnde_bridge.training.staged_training import StagedTraining
 
 _CHECKPOINTS = (StagedTraining.checkpoint_format, ClosureTraining.checkpoint_format)
@@ -71,10 +72,11 @@ def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -
     config = config_from(settings["config"])
     preset, changes = nearest_preset(config)
     found |= {"preset": preset, "changes": changes, "config": config.to_dict()}
-    found["provenance"] = dict(facts.get("provenance", {}))
+    found["provenance"] = provenance_from(facts.get("provenance", {}))
     if kind == "checkpoint":
         vectors = len(facts.get("vectors", ()))
-        return found | {"finished": facts.get("finished", vectors), "steps": facts.get("units")}
+        finished = whole("finished", facts.get("finished", vectors))
+        return found | {"finished": finished, "steps": whole("units", facts["units"])}
     return found | {"grid": _grid(arrays["time"], arrays["z"], arrays["period"])}
 
 
@@ -142,7 +144,7 @@ def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("uncertainty", found.get("uncertainty", "none")))
     facts = found.get("provenance", found)
     if "cases" in facts:
-        fingerprint = facts.get("cases_fingerprint", found.get("fingerprint"))
+        fingerprint = facts.get("cases_fingerprint", found.get("fingerprint", "unknown"))
         rows.append(("cases", f"{facts['cases']}, fingerprint {fingerprint[:16]}…"))
     rows += [(name, listed(values)) for name, values in found.get("labels", {}).items()]
     if "cases_labels" in facts:

@@ -35,6 +35,7 @@ from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Arrays, Facts, Predictor, predict
 from pcnde_bridge.training.provenance import provenance as current_provenance
+from pcnde_bridge.training.provenance import provenance_from
 from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
 
 MEMBER_PREFIX = "member_{}_"  # of the names of a member's arrays in the file
@@ -201,7 +202,8 @@ class Ensemble(Predictor):
             PCNDE._from_parts(member, with_prefix(MEMBER_PREFIX.format(number), arrays), engine)
             for number, member in enumerate(facts["members"])
         ]
-        return cls(members, Calibration(arrays["profile"], arrays["scale"]), facts["provenance"])
+        calibration = Calibration(arrays["profile"], arrays["scale"])
+        return cls(members, calibration, provenance_from(facts["provenance"]))
 
     def __repr__(self) -> str:
         """Return the number of members, and the first."""

@@ -25,7 +25,7 @@ from pcnde_bridge.model.predictor import Arrays, Facts, Predictor
 from pcnde_bridge.model.published_weights import read_published_weights
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.history import Iteration
-from pcnde_bridge.training.provenance import provenance
+from pcnde_bridge.training.provenance import provenance, provenance_from
 from pcnde_bridge.training.trainer import Trainer
 from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import Uncertainty
@@ -210,7 +210,7 @@ class PCNDE(Predictor):
             kind.parameters(**{f.name: arrays[f.name] for f in fields(kind.parameters)}),
             Grid(arrays["time"], arrays["z"], float(arrays["period"])),
             engine,
-            dict(facts["provenance"]),
+            provenance_from(facts["provenance"]),
             histories.from_arrays(arrays),
             Uncertainty(**spread) if spread else None,
             Novelty.from_arrays(known) if known else None,

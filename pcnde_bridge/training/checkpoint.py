@@ -15,7 +15,7 @@ from pcnde_bridge.config import config_from
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.training import history as histories
 from pcnde_bridge.training.procedure import Procedure, State
-from pcnde_bridge.training.provenance import provenance
+from pcnde_bridge.training.provenance import provenance, provenance_from
 
 _OVERHEAD = 1 << 20  # bytes beside the numbers: names, JSON, the file system
 
@@ -103,7 +103,7 @@ class Checkpoint(Generic[State]):
         facts, arrays = read_archive(path, *run.checkpoint_format, what)
         with interpreting(path, what):
             cases, config = facts["cases"], config_from(facts["config"])
-            its_seed, engine = facts["seed"], facts["provenance"]["engine"]
+            its_seed, engine = facts["seed"], provenance_from(facts["provenance"])["engine"]
         for differs, difference in (
             (cases != run.cases.fingerprint(), "on other cases. Give the same cases"),
             (config != run.config, "with another configuration. Give the same one"),

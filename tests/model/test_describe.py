@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from pcnde_bridge import PCNDE
-from pcnde_bridge._utils.archive import write_archive
+from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge.errors import FileError
+from pcnde_bridge.model import load_model
 from pcnde_bridge.model.describe import describe, lines
 
 
@@ -58,6 +61,46 @@ def test_info_on_the_command_line(ensemble, tmp_path, run_pcnde):
     code, _, err = run_pcnde("info", path)
     assert code == 2
     assert "not a pcnde_bridge model but a 'something' file" in err
+
+
+@pytest.mark.parametrize("kind", ["model", "ensemble"])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("text", "provenance must be an object, got 'text'"),
+        ({"seed": "0"}, "seed must be a whole number"),
+        ({"cases": None}, "cases must be a whole number"),
+        ({"cases_fingerprint": 10**30}, "cases_fingerprint must be text"),
+        ({"cases_labels": [[1, 2, 3]]}, "cases_labels must be a list of pairs"),
+        ({"versions": ["jax"]}, "versions must be an object of text"),
+        ({"versions": {"jax": "\x1b[2J"}}, "versions must be an object of text"),
+        ({"seconds": "long"}, "seconds must be a number"),
+        ({"command": "\x1b]0;owned\x07pcnde fit"}, "command must be text without control"),
+    ],
+)
+def test_foreign_provenance_is_refused(
+    small_model, ensemble, engine, tmp_path, run_pcnde, kind, wrong, message
+):
+    path = tmp_path / "file"
+    model = {"model": small_model, "ensemble": ensemble}[kind]
+    model.save(path)
+    facts, arrays = read_archive(path, *model.file_format)
+    facts["provenance"] = facts["provenance"] | wrong if isinstance(wrong, dict) else wrong
+    write_archive(path, *model.file_format[:2], facts, arrays)
+    with pytest.raises(FileError, match=message):
+        load_model(path, engine)
+    code, printed, err = run_pcnde("info", path)
+    assert code == 2
+    assert message in " ".join(err.split())
+    assert "\x1b" not in printed + err
+
+
+@pytest.mark.parametrize("provenance", [{}, {"cases": 4}])
+def test_facts_of_the_provenance_may_be_missing(small_model, tmp_path, provenance):
+    replace(small_model, provenance=provenance).save(tmp_path / "model")
+    found = describe(tmp_path / "model")
+    assert found["provenance"] == provenance
+    assert dict(lines(found)).get("cases", "4, fingerprint unknown…") == "4, fingerprint unknown…"
 
 
 @pytest.mark.parametrize("name", ["cases.npz", "cases.h5"])
