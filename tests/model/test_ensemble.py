@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import warnings
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pandas as pd
@@ -139,7 +141,8 @@ def test_the_jax_engine_gives_the_same_bits_in_another_process(
 ):
     """With as many threads of XLA; those of numpy do not matter."""
     task = FitTask(small_cases.split(small_split).train, small_config, "jax", 0)
-    outcome = run(fit_model, {"a": task}, executor=processes(1, None), progress=False)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        outcome = run(fit_model, {"a": task}, executor=pool, progress=False)
     there = model_of(outcome.check()["a"], "jax")
     assert there.parameters == small_model.parameters
     assert there.provenance["cases_labels"] == small_model.provenance["cases_labels"]
