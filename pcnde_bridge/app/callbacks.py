@@ -32,6 +32,8 @@ _NUMBERS = ("blockage", "position", "length", "scale")
 _CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("waveform", "data")}
 """Component and property of each choice."""
 
+_COLUMNS = ("along", "over")
+
 
 def connect(app: Dash, explorer: Explorer) -> None:
     """Register the callbacks of a page with this explorer."""
@@ -60,14 +62,10 @@ def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
 
 def _connect_drawing(app: Dash, explorer: Explorer) -> None:
     @app.callback(
-        Output("along", "figure"),
-        Output("over", "figure"),
-        Output("along-title", "children"),
-        Output("over-title", "children"),
-        Output("novelty", "children"),
+        [Output(column, "figure") for column in _COLUMNS],
+        [Output(f"{column}-title", "children") for column in _COLUMNS],
+        [Output(name, "children") for name in ("message", "progress", "novelty")],
         Output("novelty", "className"),
-        Output("message", "children"),
-        Output("progress", "children"),
         {name: Input(*component) for name, component in _CONTROLS.items()},
         Input("time-point", "value"),
         Input("grid-point", "value"),
@@ -83,21 +81,20 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
             raise PreventUpdate
         try:
             inputs = _inputs(explorer, values)
-            along, over = explorer.along(inputs, time_index), explorer.over(inputs, z_index)
+            found = explorer.prediction(inputs)
         except PCNDEError as error:
             empty = page.redraw({name: {} for name in explorer.variables}, 0)
-            return empty, empty, no_update, no_update, "", "", str(error), ""
-        found = explorer.prediction(inputs)
+            return empty, empty, no_update, no_update, str(error), "", "", ""
         t, z = float(found.time[time_index]), float(found.z[z_index])
         hidden = page.COMPARISONS.keys() - set(shown)
         return (
-            page.redraw(along, z, hidden),
-            page.redraw(over, t, hidden),
+            page.redraw(explorer.curves(inputs, "along", time_index), z, hidden),
+            page.redraw(explorer.curves(inputs, "over", z_index), t, hidden),
             f"Along the vessel at t = {t:.2f} s",
             f"Over one cycle at z = {z:.2f} cm",
-            *_describe_novelty(explorer.novelty(inputs)),
             "",
             _describe_progress(explorer, inputs, shown),
+            *_describe_novelty(explorer.novelty(inputs)),
         )
 
 
@@ -166,50 +163,47 @@ def _compute_latest(
 
 
 def _connect_upload(app: Dash, explorer: Explorer) -> None:
+    choices = explorer.choices
+
+    def use(waveform: dict[str, Any] | None, note: str, scale: float) -> None:
+        set_props("uploaded", {"children": note, "className": "hint"})
+        set_props("reset", {"hidden": waveform is None})
+        set_props("scale", {"value": scale})
+        set_props("waveform", {"data": waveform})
+
     @app.callback(
-        Output("waveform", "data"),
-        Output("uploaded", "children"),
-        Output("uploaded", "className"),
-        Output("scale", "value"),
-        Output("reset", "hidden"),
         Output("upload", "contents"),
         Input("upload", "contents"),
         Input("reset", "n_clicks"),
         State("upload", "filename"),
         prevent_initial_call=True,
     )
-    def upload(contents: str | None, _reset: int, name: str | None) -> tuple[Any, ...]:
-        def changes(
-            waveform: Any, note: str, style: str, scale: Any, hidden: Any
-        ) -> tuple[Any, ...]:
-            # The contents are cleared, so that the same file can be uploaded again.
-            return waveform, note, style, scale, hidden, None
-
-        choices = explorer.choices
+    def upload(contents: str | None, _reset: int, name: str | None) -> None:
         if ctx.triggered_id == "reset":
-            return changes(None, page.waveform_note(choices), "hint", choices.scale.start, True)
-        if contents is None:
-            raise PreventUpdate
-        try:
-            content = base64.b64decode(contents.partition(",")[2])  # data:TYPE;base64,…
-            waveform, note = read_waveform(content, name or "The file", explorer.model)
-        except InputError as error:
-            problem = f"The file was rejected. {error}", "problem"
-            return changes(no_update, *problem, no_update, no_update)
-        return changes(asdict(waveform), f"Scale 1 is {note}", "hint", 1.0, False)
+            use(None, page.waveform_note(choices), choices.scale.start)
+        elif contents is not None:
+            try:
+                content = base64.b64decode(contents.partition(",")[2])  # data:TYPE;base64,…
+                waveform, note = read_waveform(content, name or "The file", explorer.model)
+            except InputError as error:
+                problem = {"children": f"The file was rejected. {error}", "className": "problem"}
+                set_props("uploaded", problem)
+            else:
+                use(asdict(waveform), f"Scale 1 is {note}", 1.0)
+        # The contents are cleared, so that the same file can be uploaded again.
 
 
 def _connect_download(app: Dash, explorer: Explorer) -> None:
     @app.callback(
         Output("csv", "data"),
-        Output("message", "children", allow_duplicate=True),
         Input("download", "n_clicks"),
         {name: State(*component) for name, component in _CONTROLS.items()},
         prevent_initial_call=True,
     )
-    def download(_clicks: int, values: dict[str, Any]) -> tuple[Any, Any]:
+    def download(_clicks: int, values: dict[str, Any]) -> Any:
         try:
             table = explorer.csv(_inputs(explorer, values))
         except PCNDEError as error:
-            return no_update, str(error)
-        return {"content": table, "filename": "prediction.csv", "type": "text/csv"}, no_update
+            set_props("message", {"children": str(error)})
+            return no_update
+        return {"content": table, "filename": "prediction.csv", "type": "text/csv"}

@@ -121,16 +121,14 @@ class Explorer:
         return [name for name in QUANTITIES if name != "pressure" or self.model.has_pressure]
 
     def _predict(self, inputs: Inputs, samples: int = 0) -> Prediction:
-        grid = self.model.grid
-        place: dict[str, Any] = {}
-        if self.model.any_grid:
-            place = {"z": grid.z, "period": inputs.waveform.period}
+        grid, any_grid = self.model.grid, self.model.any_grid
         return self.model.predict(
             inputs.waveform.samples(grid.time.size),
             inputs.vessel.area_undeformed(grid.z - grid.z[0]),
+            z=grid.z if any_grid else None,
+            period=inputs.waveform.period if any_grid else None,
             samples=samples,
             units="cgs",
-            **place,
         )
 
     def solver_setup(self, inputs: Inputs) -> tuple[Tube1D, Windkessel]:
@@ -177,50 +175,47 @@ class Explorer:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""
         return self._predict(inputs, self.samples).to_frame().to_csv(index=False)
 
-    def along(self, inputs: Inputs, time_index: int) -> dict[str, Panel]:
-        """Return the curves along the vessel at a time point of the model's grid."""
+    def curves(self, inputs: Inputs, column: str, index: int) -> dict[str, Panel]:
+        """Return the curves of one column of the page.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            Inputs of the prediction.
+        column : {'along', 'over'}
+            Along the vessel at a time point, or over the cycle at a grid point.
+        index : int
+            Time point or grid point of the model.
+        """
         found = self.prediction(inputs)
-        time, start = found.time[time_index], found.z[0]
-
-        def solved(cases: Cases, values: Array) -> Line:
-            y = [np.interp(time, cases.time, at_z, period=cases.period) for at_z in values.T]
-            return Line(cases.z + start, np.array(y))
-
-        given = {"area": found.area_undeformed[0]}
-        return self._panels(inputs, found.z, np.s_[0, time_index, :], solved, given)
-
-    def over(self, inputs: Inputs, z_index: int) -> dict[str, Panel]:
-        """Return the curves over one cycle at a point of the model's grid."""
-        found = self.prediction(inputs)
-        z = found.z[z_index] - found.z[0]
-
-        def solved(cases: Cases, values: Array) -> Line:
-            return Line(cases.time, np.array([np.interp(z, cases.z, row) for row in values]))
-
-        given = {"flow": found.flow[0, :, 0]}
-        return self._panels(inputs, found.time, np.s_[0, :, z_index], solved, given)
-
-    def _panels(
-        self,
-        inputs: Inputs,
-        x: Array,
-        cut: tuple[int | slice, ...],
-        solved: Callable[[Cases, Array], Line],
-        given: Mapping[str, Array],
-    ) -> dict[str, Panel]:
-        values = self.prediction(inputs).variables()
+        cut: tuple[Any, ...]
+        if column == "along":
+            x, cut, given = found.z, np.s_[0, index, :], {"area": found.area_undeformed[0]}
+        else:
+            x, cut, given = found.time, np.s_[0, :, index], {"flow": found.flow[0, :, 0]}
         limits, cases = self.interval.cached(inputs), self.solution.cached(inputs)
         panels = {}
         for name in self.variables:
-            convert = QUANTITIES[name].convert
-            panel = {"prediction": Line(x, convert(values[name][cut]))}
+            factor = QUANTITIES[name].factor
+            panel = {"prediction": Line(x, factor * getattr(found, name)[cut])}
             if isinstance(limits, Mapping):
-                low, high = (convert(limit[cut]) for limit in limits[name])
+                low, high = (factor * limit[cut] for limit in limits[name])
                 there_and_back = (x, x[::-1]), (low, high[::-1])
                 panel["interval"] = Line(*map(np.concatenate, there_and_back))
             if isinstance(cases, Cases):
-                panel["solver"] = solved(cases, convert(getattr(cases, name)[0]))
+                panel["solver"] = _solved(cases, factor * getattr(cases, name)[0], found, cut)
             if name in given:
-                panel["given"] = Line(x, convert(given[name]))
+                panel["given"] = Line(x, factor * given[name])
             panels[name] = panel
         return panels
+
+
+def _solved(cases: Cases, values: Array, found: Prediction, cut: tuple[Any, ...]) -> Line:
+    """Interpolate values (time, z) of the 1D solver to the time or grid point of a prediction."""
+    _, time, z = cut
+    if isinstance(z, slice):  # along the vessel
+        at = found.time[time]
+        y = [np.interp(at, cases.time, at_z, period=cases.period) for at_z in values.T]
+        return Line(cases.z + found.z[0], np.array(y))
+    at = found.z[z] - found.z[0]
+    return Line(cases.time, np.array([np.interp(at, cases.z, row) for row in values]))

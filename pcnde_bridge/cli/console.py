@@ -22,7 +22,7 @@ _out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
-SHORT_TITLES = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
+_SHORT_TITLES = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
 """Titles of columns of errors that would be too long for a narrow terminal."""
 
 
@@ -41,11 +41,12 @@ def show(table: Table) -> None:
     _out.print(table, soft_wrap=False)
 
 
-def show_errors(errors: pd.DataFrame) -> None:
-    """Print relative errors: a line for each row, a column for each variable."""
-    table = Table("relative error", *errors.rename(columns=SHORT_TITLES).columns)
+def show_errors(errors: pd.DataFrame, padding: int | tuple[int, int] = (0, 1)) -> None:
+    """Print relative errors: a line for each row, a column for each variable; texts as they are."""
+    titles = errors.rename(columns=_SHORT_TITLES).columns
+    table = Table("relative error", *titles, padding=padding)
     for name, *values in errors.itertuples():
-        table.add_row(name, *(f"{value:.4f}" for value in values))
+        table.add_row(name, *(v if isinstance(v, str) else f"{v:.4f}" for v in values))
     show(table)
 
 

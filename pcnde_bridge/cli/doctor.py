@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from importlib.metadata import version
-from importlib.util import find_spec
 from typing import NamedTuple
 
 from pcnde_bridge.engines.julia.environment import julia_status
@@ -40,17 +39,8 @@ def examine(load: bool = False) -> list[Finding]:
         which takes minutes; precompiled packages are always loaded.
     """
     python = Finding("Python", f"{platform.python_version()} on {platform.machine()}")
-    return [python, _jax(), _julia(load), _data()]
-
-
-def _jax() -> Finding:
-    packages = ("jax", "diffrax")
-    missing = [name for name in packages if find_spec(name) is None]
-    if missing:
-        advice = f"pip install {' '.join(missing)}"
-        return Finding("engine jax", f"{' and '.join(missing)} missing", advice, good=False)
-    found = ", ".join(f"{name} {version(name)}" for name in packages)
-    return Finding("engine jax", found)
+    jax = Finding("engine jax", f"jax {version('jax')}, diffrax {version('diffrax')}")
+    return [python, jax, _julia(load), _data()]
 
 
 def _julia(load: bool) -> Finding:

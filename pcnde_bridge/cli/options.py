@@ -9,10 +9,10 @@ from typing import Any
 
 import typer
 
-from pcnde_bridge._utils.files import check_writable
+from pcnde_bridge._utils.files import check_writable, reading
 from pcnde_bridge.config import PRESETS, Config, resolve_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import FileError, InputError
+from pcnde_bridge.errors import InputError
 
 
 def option(default: Any, help: str, *names: str, **settings: Any) -> Any:
@@ -48,10 +48,8 @@ def settings_of(preset: str, path: Path | None) -> Config:
     settings = resolve_config(preset)
     if path is None:
         return settings
-    try:
+    with reading(path, "a JSON file of settings"):
         changes = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileError(f"Cannot read settings from {path}: {error}.") from error
     if not isinstance(changes, dict):
         raise InputError(f"{path} must hold a JSON object of settings.")
     return settings.replace(**changes)

@@ -105,6 +105,12 @@ def predict(
         raise InputError("Standard deviations (--samples) are written to a .csv only.")
     fitted = load_model(model, engine)
     check_target(out, fitted.has_pressure)
+    members = len(fitted.members) if isinstance(fitted, Ensemble) else 0
+    if samples and members:
+        raise InputError(
+            f"{model} is an ensemble, whose standard deviations and intervals need no samples: "
+            "leave out --samples."
+        )
     given = read_inputs(
         inflow,
         area,
@@ -115,7 +121,7 @@ def predict(
         interpolate=interpolate,
     )
     inputs = given.inflow, given.area_undeformed
-    settings: dict[str, Any] = {"units": units_of(units), **given.where}
+    settings: dict[str, Any] = {"units": units_of(units), "samples": samples, **given.where}
     tables: list[pd.DataFrame] = []
 
     def named(prediction: Prediction) -> Prediction:
@@ -126,11 +132,7 @@ def predict(
 
     files = [out]
     if suffix == ".csv":
-        if isinstance(fitted, Ensemble):
-            samples = len(fitted.members)
-        else:
-            settings["samples"] = samples
-        batch = max(1, _IN_MEMORY // (1 + samples))
+        batch = max(1, _IN_MEMORY // (1 + samples + members))
         count = save_csv(map(named, fitted.predict_batches(*inputs, batch=batch, **settings)), out)
     else:
         prediction = named(fitted.predict(*inputs, **settings))
@@ -172,11 +174,10 @@ def figures(
     choose(only)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, split)
-    figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"))
+    truth_label = {"synthetic": "1D solver", "published": "3D, averaged"}.get(data, "truth")
+    figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"), truth_label)
     if data == "synthetic":
-        figure_data.truth_label, figure_data.other = "1D solver", None
-    elif data != "published":
-        figure_data.truth_label = "truth"
+        figure_data.other = None
     if workers > 1:
         figure_data.executor = processes(workers)
     made = make_figures(figure_data, out, only=only, with_studies=studies, announce=note)

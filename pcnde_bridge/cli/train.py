@@ -7,13 +7,12 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pandas as pd
-from rich.table import Table
 
 from pcnde_bridge._utils.files import write_csv
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
 from pcnde_bridge.cli import options
-from pcnde_bridge.cli.console import SHORT_TITLES, note, resumable, say, show, show_errors
+from pcnde_bridge.cli.console import note, resumable, say, show_errors
 from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_of
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
@@ -183,16 +182,16 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
 
 def _show_rows(rows: list[benchmark.Row]) -> None:
     """Print a line for each method and set, then why some methods were not applicable."""
-    errors, *_ = rows[0].errors.values()
-    titles = (SHORT_TITLES.get(name, name) for name in errors)
-    # Without padding, the table fits into 80 characters.
-    table = Table("relative error", *titles, "fit, s", "predict,\nms/case", padding=0)
+    lines: dict[str, dict[str, float | str]] = {}
     for row in rows:
-        fit_time = "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}"
         for name, errors in row.errors.items():
-            cells = (f"{error:.4f}" for error in errors.values())
-            table.add_row(f"{row.name}, {name}", *cells, fit_time, f"{row.predict_ms_per_case:.2f}")
-    show(table)
+            times = {
+                "fit, s": "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}",
+                "predict,\nms/case": f"{row.predict_ms_per_case:.2f}",
+            }
+            lines[f"{row.name}, {name}"] = errors | times
+    # Without padding, the table fits into 80 characters.
+    show_errors(pd.DataFrame(lines).T, padding=0)
     for row in rows:
         if row.reason is not None:
             say(f"{row.name}: {row.reason}")

@@ -4,11 +4,15 @@ Each function takes results and returns a matplotlib Figure; :mod:`pcnde_bridge.
 writes the paper's figures into files.
 """
 
-from pcnde_bridge.plots.cases import data_set
+from pcnde_bridge.plots.cases import data_set, results, time_and_space
 from pcnde_bridge.plots.errors import box_plots, error_matrix, pointwise_errors
-from pcnde_bridge.plots.formulations import landscapes, smoothness
-from pcnde_bridge.plots.prediction import results, time_and_space
-from pcnde_bridge.plots.studies import fourier_effect, noise, pressure_drops
+from pcnde_bridge.plots.studies import (
+    fourier_effect,
+    landscapes,
+    noise,
+    pressure_drops,
+    smoothness,
+)
 from pcnde_bridge.plots.training import activations, loss_history
 
 __all__ = [

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pcnde_bridge import studies
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.plots import style
@@ -15,8 +16,6 @@ from pcnde_bridge.plots import style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from pcnde_bridge.studies import PointwiseErrors
 
 _CELL = 0.34  # size of a matrix cell, inches
 _NARROWEST = 2.6  # width that the titles need, inches
@@ -82,7 +81,7 @@ def _frame(axis: Axes, matrix: pd.DataFrame, training: Cases) -> None:
         axis.plot([column - 1.5, column - 0.5], [row - 0.5] * 2, **line)
 
 
-def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged") -> Figure:
+def pointwise_errors(errors: studies.PointwiseErrors, truth_label: str = "3D, averaged") -> Figure:
     """Plot truth, prediction and error over time and space (figure 6).
 
     Parameters
@@ -107,9 +106,9 @@ def pointwise_errors(errors: PointwiseErrors, truth_label: str = "3D, averaged")
         if name == "area":
             error, error_label = errors.distance[name], f"|Δ{symbol}| / {symbol}(t = 0)"
         else:
-            error = quantity.convert(errors.distance[name])
+            error = quantity.factor * errors.distance[name]
             error_label = f"|Δ{symbol}| ({quantity.unit})"
-        values = quantity.convert(np.stack([getattr(case, name)[0], errors.predicted[name]]))
+        values = quantity.factor * np.stack([getattr(case, name)[0], errors.predicted[name]])
         for panels, arrays, low, cmap, label in (
             (column[:2], values, values.min(), style.VALUE_COLORS, quantity.label),
             (column[2:], error[None], 0.0, style.ERROR_COLORS, error_label),

@@ -13,7 +13,6 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from pcnde_bridge import plots, studies
@@ -43,8 +42,7 @@ def hardest_case(cases: Cases) -> int:
 
     In the published data this is the narrowest stenosis with the strongest waveform.
     """
-    labels = cases.labels
-    return int(np.lexsort((labels["waveform"], labels["geometry"]))[-1])
+    return int(cases.labels.sort_values(["geometry", "waveform"]).index[-1])
 
 
 @dataclass
@@ -150,8 +148,7 @@ def _results(data: FigureData) -> Drawn:
     for method, variables in data.by_method(data.evaluated).items():
         subset = "train" if data.test is None else "test"
         errors[method, subset] = pooled_errors(variables, data.evaluated)
-    index = pd.MultiIndex.from_tuples(list(errors), names=["method", "set"])
-    return figure, pd.DataFrame(list(errors.values()), index=index)
+    return figure, pd.DataFrame(errors).T.rename_axis(["method", "set"])
 
 
 def _error_matrix(data: FigureData) -> Drawn:
@@ -212,11 +209,10 @@ def _drawn(plot: Callable[..., Figure], study: Any, data: FigureData) -> Drawn:
 
 def _minibatch_config(model: PCNDE) -> PCNDEConfig:
     """Return the model's settings if they train in minibatches, else the paper's."""
-    match model.config:
-        case PCNDEConfig(training="minibatch") as config:
-            return config
-        case _:
-            return PAPER
+    config = model.config
+    if isinstance(config, PCNDEConfig) and config.training == "minibatch":
+        return config
+    return PAPER
 
 
 FIGURES: dict[str, tuple[Callable[[FigureData], Drawn], str]] = {

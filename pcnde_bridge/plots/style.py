@@ -50,10 +50,6 @@ class Quantity(NamedTuple):
         """Name and unit, for an axis."""
         return f"{self.name} ({self.unit})"
 
-    def convert(self, values: Array) -> Array:
-        """Convert values from CGS units to the figure unit."""
-        return values * self.factor
-
 
 QUANTITIES = {
     "flow": Quantity("flow Q", "mL/s", 1.0),
@@ -100,22 +96,8 @@ def new_figure(
     return figure, axes
 
 
-class Panel(NamedTuple):
-    """Panel of one variable, over time or space.
-
-    Attributes
-    ----------
-    axis : Axes
-        The panel.
-    x : array of shape (time,) or (z,)
-        Time points or points.
-    cut : tuple
-        Index that takes the values at x from an array of shape (..., time, z).
-    """
-
-    axis: Axes
-    x: Array
-    cut: Any
+Panel = tuple["Axes", Array, Any]
+"""Panel over time or space, its abscissa, and the index of its values in (..., time, z)."""
 
 
 def time_and_space_figure(
@@ -147,8 +129,7 @@ def time_and_space_figure(
     rows = {}
     for (left, right), name in zip(axes, variables, strict=True):
         left.set_ylabel(QUANTITIES[name].label)
-        over_time = Panel(left, cases.time, np.s_[..., z])
-        rows[name] = over_time, Panel(right, cases.z, np.s_[..., time, :])
+        rows[name] = (left, cases.time, np.s_[..., z]), (right, cases.z, np.s_[..., time, :])
     return figure, rows
 
 
@@ -161,7 +142,7 @@ def plot_rows(
     """Plot arrays (..., time, z) of a method in the panels of their variables."""
     for name, panels in rows.items():
         if name in variables:
-            values = QUANTITIES[name].convert(variables[name])
+            values = QUANTITIES[name].factor * variables[name]
             for axis, x, cut in panels:
                 plot_curves(axis, x, values[cut], label, look)
 
@@ -172,16 +153,12 @@ def plot_curves(axis: Axes, x: Array, curves: Array, label: str, look: Mapping[s
     lines[0].set_label(label)
 
 
-def add_legend(
-    figure: Figure,
-    axis: Axes,
-    loc: Literal["outside upper center", "outside lower center"] = "outside upper center",
-) -> None:
-    """Add the legend of one panel outside all panels of a figure."""
+def add_legend(figure: Figure, axis: Axes, *, below: bool = False) -> None:
+    """Add the legend of one panel above or below all panels of a figure."""
     handles, labels = axis.get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc=loc, ncols=len(labels), frameon=False, fontsize=9, handlelength=3
-    )
+    look: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3}
+    look["loc"] = "outside lower center" if below else "outside upper center"
+    figure.legend(handles, labels, ncols=len(labels), **look)
 
 
 def letter_panels(axes: Iterable[Axes]) -> None:
@@ -191,42 +168,37 @@ def letter_panels(axes: Iterable[Axes]) -> None:
         axis.set_title(f"{letter})  {title}".rstrip(), loc="left", fontsize=10)
 
 
-def z_index_at(cases: Cases, position: float) -> int:
-    """Return the grid point at a fraction of the vessel length.
+def locate(
+    cases: Cases, case: int, position: float, time_point: float | None = None
+) -> tuple[int, int]:
+    """Return the grid point and the time point that a figure of a case shows.
+
+    Parameters
+    ----------
+    cases : Cases
+        Cases that are drawn.
+    case : int
+        Position of the case.
+    position : float
+        Fraction of the vessel length.
+    time_point : float, optional
+        Fraction of the cycle; by default, the peak of the case's inflow.
 
     Raises
     ------
     InputError
-        If the fraction is not in [0, 1].
+        If there is no such case, or a fraction is not in [0, 1].
     """
-    length = cases.z[-1] - cases.z[0]
-    return _nearest("position", position, "vessel length", cases.z, length)
-
-
-def time_index_at(cases: Cases, time_point: float) -> int:
-    """Return the time point at a fraction of the cycle.
-
-    Raises
-    ------
-    InputError
-        If the fraction is not in [0, 1].
-    """
-    return _nearest("time_point", time_point, "cycle", cases.time, cases.period)
-
-
-def _nearest(name: str, fraction: float, whole: str, x: Array, length: float) -> int:
-    """Return the index of the value of x at a fraction of the length from its start."""
-    if not 0 <= fraction <= 1:
-        raise InputError(
-            f"{name} must be a fraction of the {whole}, from 0 to 1, got {fraction!r}."
-        )
-    return int(np.abs(x - x[0] - fraction * length).argmin())
-
-
-def check_case(name: str, case: int, cases: Cases) -> None:
-    """Raise InputError if there is no case with this position."""
     if not -len(cases) <= case < len(cases):
-        raise InputError(f"{name} {case} must be one of the {len(cases)} cases.")
+        raise InputError(f"case {case} must be one of the {len(cases)} cases.")
+    z, time = cases.z - cases.z[0], cases.time - cases.time[0]
+    for name, fraction in (("position", position), ("time_point", time_point or 0.0)):
+        if not 0 <= fraction <= 1:
+            raise InputError(f"{name} must be a fraction from 0 to 1, got {fraction!r}.")
+    z_index = int(np.abs(z - position * z[-1]).argmin())
+    if time_point is None:
+        return z_index, int(cases.inflow[case].argmax())
+    return z_index, int(np.abs(time - time_point * cases.period).argmin())
 
 
 def case_name(cases: Cases, case: int) -> str:

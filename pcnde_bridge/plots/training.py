@@ -10,7 +10,6 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.plots import style
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -81,23 +80,18 @@ def loss_history(history: pd.DataFrame) -> Figure:
 def _plot_losses(axis: Axes, fits: pd.DataFrame) -> None:
     """Plot the losses of one stage: a line per fit, or the mean over the batches."""
     batches = fits.groupby(["epoch", "batch"], sort=False)
-    if fits["batch"].nunique() == 1:
-        _plot_line(axis, fits["number"], fits["loss"], style.PREDICTED)
-    elif len(fits) >= _LONG_FIT * batches.ngroups:
-        for _, fit in batches:
-            _plot_line(axis, fit["number"], fit["loss"], style.PREDICTED)
-    else:
-        color = style.PREDICTED
+    lines, color = [fits], style.PREDICTED
+    if fits["batch"].nunique() > 1 and len(fits) >= _LONG_FIT * batches.ngroups:
+        lines = [fit for _, fit in batches]
+    elif fits["batch"].nunique() > 1:
         axis.plot(fits["number"], fits["loss"], ".", ms=4, alpha=0.4, mec="none", color=color)
         # Mean over the batches of the last loss in each epoch.
         ends = batches.last().groupby("epoch")
-        means = ends[["number", "loss"]].agg({"number": "max", "loss": "mean"})
-        _plot_line(axis, means["number"], means["loss"], style.TRUTH)
-
-
-def _plot_line(axis: Axes, number: npt.ArrayLike, loss: npt.ArrayLike, color: str) -> None:
-    """Plot losses as a line; a single one as a point, because a line would not show it."""
-    axis.plot(number, loss, "o" if np.size(loss) == 1 else "-", lw=1.6, ms=4, color=color)
+        lines, color = [ends.agg({"number": "max", "loss": "mean"})], style.TRUTH
+    for line in lines:
+        # A line would not show a single loss.
+        mark = "o" if len(line) == 1 else "-"
+        axis.plot(line["number"], line["loss"], mark, lw=1.6, ms=4, color=color)
 
 
 def activations(study: pd.DataFrame) -> Figure:

@@ -145,7 +145,7 @@ def test_another_period_is_outside_as_in_predictions(model, explorer):
 def test_curves_equal_the_predictions_and_include_cached_results(model, explorer):
     inputs, other = (explorer.choices.inputs(blockage, 0.8) for blockage in (0.55, 0.56))
     found = predicted(model, inputs)
-    along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
+    along, over = explorer.curves(inputs, "along", 5), explorer.curves(inputs, "over", 30)
     for name in ("flow", "area", "pressure"):
         values = getattr(found, name)[0] * FACTORS[name]
         for panel, x, y in ((along[name], Z, values[5]), (over[name], TIME, values[:, 30])):
@@ -158,7 +158,7 @@ def test_curves_equal_the_predictions_and_include_cached_results(model, explorer
     limits = predicted(model, inputs, samples=8).interval(0.9)
     explorer.interval(inputs)
     cases = explorer.solution(inputs)
-    along, over = explorer.along(inputs, 5), explorer.over(inputs, 30)
+    along, over = explorer.curves(inputs, "along", 5), explorer.curves(inputs, "over", 30)
     for name in ("flow", "area", "pressure"):
         low, high = (limit[0] * FACTORS[name] for limit in limits[name])
         for panel, x, cut in ((along[name], Z, np.s_[5]), (over[name], TIME, np.s_[:, 30])):
@@ -170,7 +170,7 @@ def test_curves_equal_the_predictions_and_include_cached_results(model, explorer
         expected = 0.375 * solved[15] + 0.625 * solved[16]
         assert along[name]["solver"].y == pytest.approx(expected, rel=1e-9)
         assert over[name]["solver"].y == pytest.approx(solved[:, 75], rel=1e-9)
-    assert "solver" not in explorer.along(other, 5)["flow"]
+    assert "solver" not in explorer.curves(other, "along", 5)["flow"]
     assert explorer.interval.cached(other) is None
 
 

@@ -28,7 +28,6 @@ from pcnde_bridge.cli.console import (
     note_warning,
     say,
 )
-from pcnde_bridge.cli.doctor import Finding
 from pcnde_bridge.evaluation.benchmark import checkpoint_name
 from pcnde_bridge.io.tables import read_frame
 
@@ -478,23 +477,6 @@ def test_doctor_without_data_says_what_to_do(run, monkeypatch, tmp_path):
     code, printed, _ = run("doctor")
     assert code == 0
     assert "pcnde download" in printed
-
-
-def test_doctor_without_an_engine_fails(run, monkeypatch):
-    bad = Finding("engine jax", "jax missing", "pip install jax", good=False)
-    monkeypatch.setattr(
-        "pcnde_bridge.cli.doctor.examine", lambda load: [Finding("Python", "3"), bad]
-    )
-    code, printed, err = run("doctor")
-    assert code == 1
-    assert "pip install jax" in printed
-    assert "No engine is usable" in err
-
-
-def test_doctor_names_missing_packages(run, monkeypatch):
-    monkeypatch.setattr("pcnde_bridge.cli.doctor.find_spec", lambda name: None)
-    _, printed, _ = run("doctor")
-    assert "pip install jax diffrax" in printed
 
 
 def test_commands_are_listed_in_order(run):

@@ -256,10 +256,13 @@ def test_an_ensemble_on_the_command_line(
         ("z", small_cases.z, small_cases.area_undeformed[0]),
     ):
         pd.DataFrame({name: axis, "a": values}).to_csv(f"{name}.csv", index=False)
-    code, _, _ = run_pcnde(
-        "predict", "e.npz", "--inflow", "time.csv", "--area", "z.csv", "--out", "p.csv"
-    )
-    assert code == 0
+    predict = ("predict", "e.npz", "--inflow", "time.csv", "--area", "z.csv", "--out", "p.csv")
+    code, printed, err = run_pcnde(*predict, "--samples", 64)
+    assert (code, printed) == (2, "")
+    assert "e.npz is an ensemble" in err
+    assert "intervals need no samples: leave out --samples" in err
+    assert not (tmp_path / "p.csv").exists()
+    assert run_pcnde(*predict)[0] == 0
     frame = pd.read_csv("p.csv")
     expected = whole.predict(small_cases.select([0])).to_frame()
     np.testing.assert_allclose(
