@@ -197,17 +197,7 @@ class Cases(VesselQuantities):
             z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²) and area_undeformed (cm²),
             with ``n_cases * n_times * n_points`` rows; z varies fastest.
         """
-        shape = self.flow.shape
-        columns: dict[str, AnyArray] = {
-            name: np.repeat(self._labels[name].to_numpy(), shape[1] * shape[2])
-            for name in self._labels.columns
-        }
-        spread = {"time": self.time[:, None], "z": self.z}
-        spread |= {name: getattr(self, name) for name in VARIABLES}
-        spread["area_undeformed"] = self.area_undeformed[:, None, :]
-        for name, values in spread.items():
-            columns[name] = np.broadcast_to(values, shape).ravel()
-        return pd.DataFrame(columns)
+        return self._tidy({name: getattr(self, name) for name in VARIABLES})
 
     # ---- subsets -------------------------------------------------------
 

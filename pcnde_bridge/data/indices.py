@@ -7,6 +7,7 @@ and prediction are computed by the same code.  Arrays are (..., time, z), units 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -176,11 +177,21 @@ class VesselQuantities:
         area: Array
         pressure: Array | None
         area_undeformed: Array
+        time: Array
         z: Array
 
         @property
         def labels(self) -> pd.DataFrame:
             """Labels, one row for each case."""
+
+    def _tidy(self, variables: Mapping[str, Array]) -> pd.DataFrame:
+        """Return a row for each case, time point and axial position; z varies fastest."""
+        _, n_times, n_points = shape = self.flow.shape
+        axes = {"time": self.time[:, None], "z": self.z}
+        columns = {**axes, **variables, "area_undeformed": self.area_undeformed[:, None]}
+        flat = {name: np.broadcast_to(values, shape).ravel() for name, values in columns.items()}
+        labels = self.labels.iloc[np.repeat(np.arange(shape[0]), n_times * n_points)]
+        return labels.reset_index(drop=True).assign(**flat)
 
     def pressure_drop(
         self, proximal: Position = None, distal: Position = None, units: str = "dyn/cm^2"

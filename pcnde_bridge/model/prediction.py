@@ -127,10 +127,9 @@ class Prediction(VesselQuantities):
         >>> [s.pressure_drop() for s in prediction.each_sample()]  # doctest: +SKIP
         """
         samples = self._given_samples()
-        count = len(samples["flow"])
         return (
             replace(self, **{name: values[i] for name, values in samples.items()}, samples=None)
-            for i in range(count)
+            for i in range(len(samples["flow"]))
         )
 
     def _given_samples(self) -> Mapping[str, Array]:
@@ -190,15 +189,11 @@ class Prediction(VesselQuantities):
             ``area_undeformed`` (cm²); with samples also
             ``flow_standard_deviation`` and so on, in the same units.
         """
-        shape = self.flow.shape
-        columns = {"time": self.time[:, None], "z": self.z, **self.variables()}
+        variables = self.variables()
         if self.samples is not None:
             deviations = self.standard_deviation().items()
-            columns |= {f"{name}_standard_deviation": values for name, values in deviations}
-        columns["area_undeformed"] = self.area_undeformed[:, None]
-        labels = self.labels.iloc[np.repeat(np.arange(len(self)), shape[1] * shape[2])]
-        flat = {name: np.broadcast_to(values, shape).ravel() for name, values in columns.items()}
-        return labels.reset_index(drop=True).assign(**flat)
+            variables |= {f"{name}_standard_deviation": values for name, values in deviations}
+        return self._tidy(variables)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the prediction as an xarray data set with names, units and labels.

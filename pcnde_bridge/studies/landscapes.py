@@ -112,12 +112,10 @@ class Landscape:
     def to_frame(self) -> pd.DataFrame:
         """Return a row for each point: equation, moment, amplitudes, loss and divergence."""
         first, second = np.meshgrid(self.amplitudes, self.amplitudes, indexing="ij")
-        named = {"amplitude_1": first, "amplitude_2": second, "loss": self.losses}
-        columns = {name: values.ravel() for name, values in named.items()}
-        frame = pd.DataFrame({**columns, "diverged": self.diverged.ravel()})
-        frame.insert(0, "moment", self.moment)
-        frame.insert(0, "right_hand_side", self.right_hand_side)
-        return frame
+        found = {"amplitude_1": first, "amplitude_2": second, "loss": self.losses}
+        columns = {name: values.ravel() for name, values in found.items()}
+        about = {"right_hand_side": self.right_hand_side, "moment": self.moment}
+        return pd.DataFrame({**about, **columns, "diverged": self.diverged.ravel()})
 
 
 @dataclass(frozen=True, eq=False)
