@@ -17,13 +17,14 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
 from pcnde_bridge import load_cases
-from pcnde_bridge._utils.parallel import processes, run
+from pcnde_bridge._utils.parallel import run
 from pcnde_bridge.config import resolve_config
 from pcnde_bridge.model.fit_task import FitTask, fit_model
 
@@ -31,13 +32,13 @@ from pcnde_bridge.model.fit_task import FitTask, fit_model
 @contextlib.contextmanager
 def started(kind: str, workers: int) -> Iterator[Executor]:
     """Start workers of one XLA thread each."""
+    os.environ["NPROC"] = "1"
     if kind == "processes":
-        with processes(workers)() as pool:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             yield pool
         return
     from dask.distributed import Client, LocalCluster
 
-    os.environ["NPROC"] = "1"
     with (
         LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,

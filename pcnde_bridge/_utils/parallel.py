@@ -51,7 +51,7 @@ Result = TypeVar("Result")
 
 
 class _Processes(NamedTuple):
-    """Processes of :func:`processes`: one pool each, so that a death costs one task alone."""
+    """Processes of :func:`processes`, one pool each: one that dies interrupts only its task."""
 
     workers: int
     pool: Callable[[], Executor]

@@ -72,7 +72,7 @@ _TUBE_LAW: dict[str, _Bounded] = {"exponent": (0.0, -10.0, 10.0)}
 def fit_outlet(cases: Cases, config: ClosureConfig) -> Array:
     """Find R₁, R₂, C and p_d from flow and pressure at the outlet.
 
-    A resistance is found by linear regression, and a Windkessel starting from it.
+    A resistance is found by linear regression.  A Windkessel is fitted starting from it.
     """
     flow, pressure = cases.flow[:, :, -1], cases.pressure[:, :, -1]
     given = config.outlet

@@ -17,7 +17,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # a terminal could obey them
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # terminals may interpret them
 
 
 def _is_text(value: Any) -> bool:

@@ -95,8 +95,9 @@ def fit_loss_scales(error: Array, losses: Array, dynamic: Array) -> Array:
     """Fit the standard deviations of the losses to errors of the pressure drop.
 
     The variance of a drop is (a·losses)² + (b·dynamic)².  The ratio of a and b maximizes the
-    likelihood of normal errors; with their size, 90 % intervals contain 90 % of the errors.  The
-    second part has a share that is constant in time, with which the same holds for the mean drops.
+    likelihood of normal errors.  Their size is chosen so that 90 % intervals contain 90 % of the
+    errors.  A share of b is constant in time; it is chosen so that the intervals of the mean drops
+    also contain 90 %.
 
     Parameters
     ----------

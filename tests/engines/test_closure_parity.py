@@ -14,6 +14,7 @@ from helpers import (
     MEMBRANE,
     ON,
     VESSELS,
+    vessel,
     waveforms,
 )
 
@@ -65,7 +66,9 @@ def assert_same_problems(problems, parameters):
 def test_losses(both, solution, spread):
     """The time points are some of the cycle, for which the rate of the flow is given."""
     flow_rate = np.gradient(solution.flow, GRID.time, axis=1)
-    given = solution.flow[:, ::3], flow_rate[:, ::3], AREA
+    area = AREA.copy()
+    area[5] = vessel(1.0, 2.7)  # two jets
+    given = solution.flow[:, ::3], flow_rate[:, ::3], area
     problems = [c.losses(*given, GRID, CONFIG) for c in both]
     parameters = LOSSES.copy()
     parameters[7] = spread

@@ -12,7 +12,7 @@
 # that is not recovered has the form of Seeley and Young's turbulent term. For reversed flow,
 # the vessel is mirrored.
 #
-# The drop is computed at three Reynolds numbers of the inlet, and interpolated by
+# The drop is computed at three Reynolds numbers, and interpolated by
 #
 #     D(z, Q) = D₁(z)·x + D₂(z)·x²/(1 + x) + D₃(z)·x²,    x = |Q|/Q₀,
 #
@@ -218,9 +218,16 @@ Factor of ∂Q/∂t of the jet's lag over each interval, (z − 1); the argument
 """
 function lag_factor(parameters, jet, area_undeformed, z, physics)
     (; jet_momentum, jet_lag) = parameters
-    separated(i) =
-        fills(jet[i], area_undeformed[i], jet_momentum) ? zero(eltype(jet)) : jet[i]
-    volume = cumulative_integral(separated.(eachindex(jet)), z)
+    # Volume of each jet since its beginning.
+    volume = zero(jet)
+    before = zero(eltype(jet))
+    for i in 2:length(z)
+        separated = !fills(jet[i], area_undeformed[i], jet_momentum)
+        if separated
+            volume[i] = volume[i - 1] + (z[i] - z[i - 1]) * (before + jet[i]) / 2
+        end
+        before = separated ? jet[i] : zero(eltype(jet))
+    end
     lag = (1 ./ jet .- jet_momentum ./ area_undeformed) .* volume
     @views inverses = middle_inverse.(area_undeformed[1:(end - 1)], area_undeformed[2:end])
     return -2 .* jet_lag .* physics.density .* inverses .* diff(lag)

@@ -93,7 +93,7 @@ def along_vessel(
         half = dz * jet_growth
         radius = (jnp.sqrt(jet / jnp.pi) * (1 + half) + dz * spread) / (1 - half)
         grown = jnp.pi * radius**2
-        # Exactly S_u/β where the flow fills the vessel: a straight vessel has no jet at all.
+        # Exactly S_u/β where the flow fills the vessel: a straight vessel has no jet.
         fills = grown >= limit
         after = jnp.where(fills, limit, grown)
         begins = jnp.where(jet >= last_limit, 0.0, jet)

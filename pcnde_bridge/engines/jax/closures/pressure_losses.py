@@ -13,7 +13,7 @@ a sudden expansion the second line is the loss of Borda and Carnot, and the pres
 not recovered has the form of Seeley and Young's turbulent term.  For reversed flow the vessel
 is mirrored.
 
-The drop is computed at three Reynolds numbers of the inlet, and interpolated by
+The drop is computed at three Reynolds numbers, and interpolated by
 
     D(z, Q) = D₁(z)·x + D₂(z)·x²/(1 + x) + D₃(z)·x²,    x = |Q|/Q₀,
 
@@ -22,7 +22,7 @@ lag of the jet, whose fluid left the throat earlier:
 
     −2λ·ρ/S_u·∂Q/∂t·Δ[(1/A_j − β/S_u)·∫A_j dz],
 
-integrated from the beginning of each jet, at the middle one of the Reynolds numbers.
+integrated from the beginning of each jet, at the second Reynolds number.
 
 With the flow Q = q − ξ(z)·d, where q(t) is the inflow, d(t) = q − Q(L) the flow stored by the
 wall and ξ(z) the share of the storage before z, the pressure is a sum of products of a function of
@@ -46,7 +46,7 @@ _Signals = tuple[jax.Array, ...]
 """Functions of time."""
 
 _REYNOLDS = 60.0
-"""Reynolds number 2Q/(πνr) of the reference flow Q₀ at the inlet."""
+"""Reynolds number 2Q/(πνr) of Q₀; πr² is the mean of the inlet and outlet areas."""
 
 _FLOWS = np.array([0.5, 2.0, 8.0])
 """Flows at which the steady drop is computed, over Q₀."""
@@ -147,7 +147,7 @@ def _directed(
     narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
     factors = _TO_FACTORS @ (jnp.where(narrows, accelerated, mixed) + friction)
     lag = (1 / jet - p.jet_momentum / area) * volume
-    # The lag is that of the middle one of the flows.
+    # The lag is computed at the second flow.
     return jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
 
 
