@@ -166,7 +166,7 @@ def test_a_whole_fit(engine, small_cases, grid, tmp_path):
 def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
     julia = julia_or_skip()
     # Enough iterations for both minimizers to reach the same minimum.
-    config = LITTLE.replace(full_batch={"pressure_iterations": 60})
+    config = LITTLE.replace(full_batch={"pressure_iterations": 150})
     whole = train(small_cases, julia, config)
     theirs = train(small_cases, engine, config)
     last = {record.stage: record.loss for record in whole.history}
