@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self, Unpack
 
 import numpy as np
@@ -36,7 +36,13 @@ from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Arrays, Facts, Predictor, predict
 from pcnde_bridge.training.provenance import provenance as current_provenance
 from pcnde_bridge.training.provenance import provenance_from
-from pcnde_bridge.uncertainty.calibration import Calibration, shared_error
+from pcnde_bridge.uncertainty.calibration import (
+    Calibration,
+    amplitude,
+    fit_scales,
+    relative_amplitude,
+    shared_error,
+)
 
 MEMBER_PREFIX = "member_{}_"  # of the names of a member's arrays in the file
 _FITS_PER_FOLD = 2  # the fewest that have a standard deviation
@@ -180,7 +186,7 @@ class Ensemble(Predictor):
         for name in first.variables():
             values = np.stack([prediction.variables()[name] for prediction in predictions])
             mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
-            wanted = self.calibration.standard_deviation(name, spread, first.z)
+            wanted = self.calibration.standard_deviation(name, spread, inputs.inflow, first.z)
             agree = spread <= 1e-12 * np.abs(mean)
             away = np.where(agree, directions, values - mean)
             means[name], samples[name] = mean, mean + away * (wanted / np.where(agree, 1.0, spread))
@@ -188,7 +194,7 @@ class Ensemble(Predictor):
 
     def to_archive(self) -> tuple[dict[str, Any], Arrays]:
         """Return the content of the ensemble's file: facts for JSON, and arrays."""
-        arrays = {"profile": self.calibration.profile, "scale": self.calibration.scale}
+        arrays: Arrays = dict(vars(self.calibration))
         members = []
         for number, member in enumerate(self.members):
             facts, own = member.to_archive()
@@ -202,7 +208,7 @@ class Ensemble(Predictor):
             PCNDE._from_parts(member, with_prefix(MEMBER_PREFIX.format(number), arrays), engine)
             for number, member in enumerate(facts["members"])
         ]
-        calibration = Calibration(arrays["profile"], arrays["scale"])
+        calibration = Calibration(*(arrays[f.name] for f in fields(Calibration)))
         return cls(members, calibration, provenance_from(facts["provenance"]))
 
     def __repr__(self) -> str:
@@ -231,5 +237,9 @@ def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
         true = np.stack([getattr(cases, name) for name in VARIABLES])
         errors.append(np.abs(values.mean(axis=1) - true))
         spreads.append(values.std(axis=1, ddof=1))
-    error = np.concatenate(errors, axis=1)
-    return Calibration.fit(shared_error(error), error, np.concatenate(spreads, axis=1))
+    error, spread = np.concatenate(errors, axis=1), np.concatenate(spreads, axis=1)
+    inflow = np.concatenate([cases.inflow for _, cases in folds])
+    reference = amplitude(inflow)
+    relative = relative_amplitude(inflow, reference)
+    profile = shared_error(error, relative)
+    return Calibration(profile, fit_scales(profile, error, spread, relative)[0], reference)

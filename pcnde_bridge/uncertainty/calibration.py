@@ -2,11 +2,13 @@ r"""Calibration of standard deviations on cases that were left out of a fit.
 
 The standard deviation of a variable is
 
-.. math:: \sigma = c \sqrt{s^2 + e(z)^2},
+.. math:: \sigma = c \sqrt{s^2 + (a\,e(z))^2},
 
 with s the spread among several predictions, e(z) an error along the vessel that all of
-them share, and c a factor.  On the cases left out, e(z) is the 68 % quantile of the errors
-at each point, and c is chosen so that 90 % intervals contain 90 % of the values.
+them share, a the amplitude of the inflow relative to the training cases, and c a factor.
+Errors grow with the amplitude: without a, intervals would be too wide for weak waveforms and too
+narrow for strong ones.  On the cases left out, e(z) is the 68 % quantile of the errors over a at
+each point, and c is chosen so that 90 % intervals contain 90 % of the values.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 
 _NEGLIGIBLE = 1e-12
+_SMALLEST_AMPLITUDE = 0.3  # relative; the error of a nearly steady flow is not nearly zero
 
 _HALF_WIDTH = NormalDist().inv_cdf(0.95)
 """Half the width of a normal 90 % interval, in standard deviations."""
@@ -37,36 +40,36 @@ class Calibration:
         to outlet.
     scale : array of shape (3,)
         Factor c of flow, area and pressure.
+    amplitude : array of shape (1,)
+        Amplitude of the training cases' inflows, mL/s, see :func:`amplitude`.
     """
 
     profile: Array
     scale: Array
+    amplitude: Array
 
-    @classmethod
-    def fit(cls, profile: Array, error: Array, spread: Array) -> Calibration:
-        """Find the factors that make 90 % intervals contain 90 % of the values.
+    def shared_error(self, variable: str, inflow: Array, z: Array) -> Array:
+        """Return a·e(z) of a variable, shape (case, 1, z).
 
         Parameters
         ----------
-        profile : array of shape (3, z)
-            Result of :func:`shared_error`.
-        error, spread : array of shape (3, case, time, z)
-            Absolute errors of the cases left out, and the spread s of their predictions.
+        variable : str
+            Name of the variable.
+        inflow : array of shape (case, time)
+            Flow rate at the inlet, mL/s.
+        z : array of shape (z,)
+            Points, cm.
         """
-        width = np.hypot(spread, profile[:, None, None])
-        return cls(profile, np.array([_factor(*pair) for pair in zip(error, width, strict=True)]))
-
-    def shared_error(self, variable: str, z: Array) -> Array:
-        """Return e(z) of a variable at points z (cm), shape (z,)."""
-        relative = np.linspace(0, 1, self.profile.shape[1])
+        points = np.linspace(0, 1, self.profile.shape[1])
         profile = self.profile[VARIABLES.index(variable)]
-        error: Array = np.interp((z - z[0]) / (z[-1] - z[0]), relative, profile)
+        along = np.interp((z - z[0]) / (z[-1] - z[0]), points, profile)
+        error: Array = relative_amplitude(inflow, self.amplitude)[:, None, None] * along
         return error
 
-    def standard_deviation(self, variable: str, spread: Array, z: Array) -> Array:
+    def standard_deviation(self, variable: str, spread: Array, inflow: Array, z: Array) -> Array:
         """Return σ for the spread s of a variable, both of shape (case, time, z)."""
         scale = self.scale[VARIABLES.index(variable)]
-        sigma: Array = scale * np.hypot(spread, self.shared_error(variable, z))
+        sigma: Array = scale * np.hypot(spread, self.shared_error(variable, inflow, z))
         return sigma
 
     def check(self) -> None:
@@ -78,17 +81,62 @@ class Calibration:
             If the shapes do not belong together, or a value is negative or not finite.
         """
         n, shape = len(VARIABLES), self.profile.shape
-        if self.scale.shape != (n,) or len(shape) != 2 or shape[0] != n or shape[1] == 0:
-            raise InputError(
-                f"The calibration's arrays do not belong together: {shape}, {self.scale.shape}."
-            )
-        if not all(((array >= 0) & (array < np.inf)).all() for array in (self.profile, self.scale)):
+        others = self.scale.shape, self.amplitude.shape
+        if others != ((n,), (1,)) or len(shape) != 2 or shape[0] != n or shape[1] == 0:
+            raise InputError(f"The calibration's arrays do not belong together: {shape}, {others}.")
+        if not all(((array >= 0) & (array < np.inf)).all() for array in vars(self).values()):
             raise InputError("The calibration has values that are negative or not finite.")
 
 
-def shared_error(error: Array) -> Array:
-    """Return e(z), shape (3, z), of absolute errors, shape (3, case, time, z)."""
-    return np.quantile(error, 0.68, axis=(1, 2))
+def amplitude(inflow: Array) -> Array:
+    """Return the root mean square of inflows (case, time) without their means, shape (1,)."""
+    return np.array([np.sqrt(np.var(inflow, axis=1).mean())])
+
+
+def relative_amplitude(inflow: Array, reference: Array) -> Array:
+    """Return a of each inflow (case, time): its amplitude over a reference (1,), at least 0.3.
+
+    It is 1 if the reference is 0, which is that of steady inflows.
+    """
+    if not reference.any():
+        return np.ones(len(inflow))
+    relative: Array = np.maximum(np.std(inflow, axis=1) / reference, _SMALLEST_AMPLITUDE)
+    return relative
+
+
+def shared_error(error: Array, relative: Array) -> Array:
+    """Return e(z), shape (3, z).
+
+    Parameters
+    ----------
+    error : array of shape (3, case, time, z)
+        Absolute errors of the cases left out.
+    relative : array of shape (case,)
+        Result of :func:`relative_amplitude`.
+    """
+    return np.quantile(error / relative[:, None, None], 0.68, axis=(1, 2))
+
+
+def fit_scales(profile: Array, error: Array, spread: Array, relative: Array) -> tuple[Array, Array]:
+    """Find the factors c that make 90 % intervals contain 90 % of the values.
+
+    Parameters
+    ----------
+    profile : array of shape (3, z)
+        Result of :func:`shared_error`.
+    error, spread : array of shape (3, case, time, z)
+        Absolute errors of the cases left out, and the spread s of their predictions.
+    relative : array of shape (case,)
+        Result of :func:`relative_amplitude`.
+
+    Returns
+    -------
+    tuple of arrays of shape (3,)
+        The factors, and the mean standard deviations.
+    """
+    width = np.hypot(spread, relative[:, None, None] * profile[:, None, None])
+    found = np.array([_factor(*pair) for pair in zip(error, width, strict=True)])
+    return found, found * width.mean(axis=(1, 2, 3))
 
 
 def fit_loss_scales(error: Array, losses: Array, dynamic: Array) -> Array:

@@ -7,7 +7,8 @@ Four random quantities make a sample of a prediction:
 - a normal shift of the correction's logit, the same for a whole case, because cases differ
   in how much of the storage the averaged flow hides, and the inputs do not show it;
 - a normal multiple of an error profile along the vessel, one for each variable, for the
-  errors that remain where the correction has no effect; that of the pressure is the error at the
+  errors that remain where the correction has no effect; it grows with the amplitude of the
+  inflow, as errors do; that of the pressure is the error at the
   outlet, the same at every point, so that it cancels in a pressure drop;
 - normal multiples for the pressure losses ℓ(z, t) = p − p(L): one of ℓ itself, and three of the
   vessel's mean dynamic pressure, in the shares in which ℓ builds up along the vessel: constant in
@@ -38,7 +39,14 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.errors import SolveError
-from pcnde_bridge.uncertainty.calibration import Calibration, fit_loss_scales, shared_error
+from pcnde_bridge.uncertainty.calibration import (
+    Calibration,
+    amplitude,
+    fit_loss_scales,
+    fit_scales,
+    relative_amplitude,
+    shared_error,
+)
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _CALIBRATION_SAMPLES = 12
@@ -59,7 +67,7 @@ class Uncertainty:
     losses : array of shape (3,)
         Standard deviations of the losses: relative to them, then relative to the mean dynamic
         pressure, constant and varying in time.
-    profile, scale : arrays of shape (3, point) and (3,)
+    profile, scale, amplitude : arrays of shape (3, point), (3,) and (1,)
         Attributes of :class:`~pcnde_bridge.uncertainty.calibration.Calibration`.
     """
 
@@ -68,14 +76,15 @@ class Uncertainty:
     losses: Array
     profile: Array
     scale: Array
+    amplitude: Array
 
     def __iter__(self) -> Iterator[tuple[str, Array]]:
         return ((f.name, getattr(self, f.name)) for f in fields(self))
 
     @property
     def calibration(self) -> Calibration:
-        """Profile and scale."""
-        return Calibration(self.profile, self.scale)
+        """Profile, scale and amplitude."""
+        return Calibration(self.profile, self.scale, self.amplitude)
 
     def check(self, width: int) -> None:
         """Check shapes and values.
@@ -196,18 +205,17 @@ def calibrate(
             samples = model.predict(member, shift * normal[:, : len(truth)], inputs)
             spreads[-1].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
     error = np.concatenate(errors, axis=1)
-    profile, size = shared_error(error), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
+    reference = amplitude(cases.inflow)
+    relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
+    profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
     profile[-1] = profile[-1, -1]
-    calibrations, widths = [], []
-    for spread in np.concatenate(spreads, axis=2):
-        calibrations.append(Calibration.fit(profile, error, spread))
-        width = np.hypot(spread, profile[:, None, None]).mean(axis=(1, 2, 3))
-        widths.append(np.sum(calibrations[-1].scale * width / size))
+    found = [fit_scales(profile, error, s, relative) for s in np.concatenate(spreads, axis=2)]
     # The intervals are compared by their mean widths in terms of the errors.
-    best = int(np.argmin(widths))
-    scale = calibrations[best].scale
+    best = int(np.argmin([np.sum(mean / size) for _, mean in found]))
+    scale = found[best][0]
     losses = fit_loss_scales(*np.concatenate(drops, axis=1)) / (scale[-1] or 1.0)
-    return Uncertainty(np.array(members), np.array([_SHIFTS[best]]), losses, profile, scale)
+    width = np.array([_SHIFTS[best]])
+    return Uncertainty(np.array(members), width, losses, profile, scale, reference)
 
 
 def _loss_scales(
@@ -276,7 +284,7 @@ def sample(
     for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=False):
         center = getattr(mean, name)
         found[name] -= center
-        found[name] += noise[:, :, None, None] * calibration.shared_error(name, z)
+        found[name] += noise[:, :, None, None] * calibration.shared_error(name, inputs.inflow, z)
         if name == "pressure":
             relative, constant, varying = uncertainty.losses
             losses, dynamic = _loss_scales(center, inputs, model.config)

@@ -50,6 +50,7 @@ def model():
         np.zeros(3),
         np.array([[0.01], [1e-4], [500.0]]) * np.ones(41),
         np.ones(3),
+        np.zeros(1),
     )
     facts = {"cases": len(INFLOW)}
     novelty = Novelty.fit(INFLOW, AREA, Z)

@@ -65,11 +65,11 @@ def test_mean_and_deviation(small_cases, ensemble):
     for number, name in enumerate(VARIABLES):
         values = np.stack([p.variables()[name] for p in alone])
         np.testing.assert_allclose(prediction.variables()[name], values.mean(axis=0), rtol=1e-14)
-        # σ = c √(s² + e²), on the grid of the training.
+        # σ = c √(s² + (a e)²), on the grid of the training.
         spread = values.std(axis=0, ddof=1)
-        expected = ensemble.calibration.scale[number] * np.hypot(
-            spread, ensemble.calibration.profile[number]
-        )
+        relative = small_cases.inflow.std(axis=1) / ensemble.calibration.amplitude
+        shared = np.maximum(relative, 0.3)[:, None, None] * ensemble.calibration.profile[number]
+        expected = ensemble.calibration.scale[number] * np.hypot(spread, shared)
         scale = np.abs(values).max()
         np.testing.assert_allclose(deviation[name], expected, rtol=1e-6, atol=1e-12 * scale)
         assert prediction.samples[name].shape == values.shape
@@ -83,7 +83,7 @@ def test_mean_and_deviation(small_cases, ensemble):
 
 def test_where_members_agree_the_samples_still_have_the_deviation(small_cases, config, engine):
     member = PCNDE.fit(small_cases, config, engine, progress=False)
-    calibration = Calibration(np.full((3, 4), 0.5), np.array([1.0, 2.0, 3.0]))
+    calibration = Calibration(np.full((3, 4), 0.5), np.array([1.0, 2.0, 3.0]), np.zeros(1))
     prediction = Ensemble([member, member, member], calibration).predict(small_cases)
     for name, c in zip(VARIABLES, (1.0, 2.0, 3.0), strict=True):
         np.testing.assert_allclose(prediction.standard_deviation()[name], 0.5 * c, rtol=1e-6)
@@ -202,6 +202,7 @@ def test_damaged_ensembles_are_file_errors(ensemble, engine, tmp_path):
     broken = [
         (facts, {k: v for k, v in arrays.items() if k != "scale"}),
         (facts, {**arrays, "scale": np.ones(2)}),
+        (facts, {**arrays, "amplitude": np.array([-1.0])}),
         (facts, {**arrays, "profile": np.full((3, 4), np.nan)}),
         (facts, {k: v for k, v in arrays.items() if k != "member_1_flow"}),
         ({**facts, "members": facts["members"][:1]}, arrays),

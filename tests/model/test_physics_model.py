@@ -86,7 +86,7 @@ def damaged(model_file, path, change):
 
 
 NEEDED = (
-    *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale")),
+    *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale", "amplitude")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("center", "axes")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("range", "rest")),
     *("outlet", "losses", "wall", "correction", "history", "time", "z", "period"),

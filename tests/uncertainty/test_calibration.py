@@ -14,7 +14,14 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.types import ModelInputs, Solution
-from pcnde_bridge.uncertainty.calibration import Calibration, fit_loss_scales
+from pcnde_bridge.uncertainty.calibration import (
+    Calibration,
+    amplitude,
+    fit_loss_scales,
+    fit_scales,
+    relative_amplitude,
+    shared_error,
+)
 from pcnde_bridge.uncertainty.sampling import (
     RandomNumbers,
     SampledModel,
@@ -108,6 +115,7 @@ def drawn(
         np.array(losses),
         UNITS[:, None] * profile,
         np.array(scale),
+        np.zeros(1),
     )
     mean, area = truth(inflow), np.full((len(amount), 6), 0.1)
     numbers = RandomNumbers.generate(uncertainty, samples, len(amount), np.random.default_rng(0))
@@ -165,7 +173,12 @@ def test_errors_of_the_losses_do_not_cancel_in_a_drop():
     engine = SimpleNamespace(predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean)))
     profile = np.array([[0.0], [0.0], [50.0]]) * np.ones(6)
     uncertainty = Uncertainty(
-        np.zeros((1, 1)), np.zeros(1), np.array(widths), profile, np.array([1.0, 1.0, 0.5])
+        np.zeros((1, 1)),
+        np.zeros(1),
+        np.array(widths),
+        profile,
+        np.array([1.0, 1.0, 0.5]),
+        np.zeros(1),
     )
     numbers = RandomNumbers.generate(uncertainty, 4000, 2, np.random.default_rng(1))
     model = SampledModel(engine, PARAMETERS, PHYSICS)
@@ -198,8 +211,28 @@ def test_factor_of_normal_errors():
     spread = np.array([1.5, 3.0, 0.0])[:, None, None, None] * np.ones(error.shape)
     # Where the values are known, errors by round-off do not count.
     spread[0, :, :, :80] = 0
-    found = Calibration.fit(np.zeros((3, 100)), error, spread)
-    assert found.scale == pytest.approx([2, 1, 0], rel=0.02)
+    found, width = fit_scales(np.zeros((3, 100)), error, spread, np.ones(100))
+    assert found == pytest.approx([2, 1, 0], rel=0.02)
+    assert width == pytest.approx([3 * 0.2, 3, 0], rel=0.02)
+
+
+def test_shared_errors_grow_with_the_amplitude_of_the_inflow():
+    wave = np.sqrt(2) * np.cos(2 * np.pi * np.arange(8) / 8)
+    inflow = 1.3 + np.array([[0.1], [2.0], [4.0]]) * wave
+    reference = amplitude(np.array([[2.0], [2.0]]) * wave)
+    assert reference == pytest.approx([2.0])
+    relative = relative_amplitude(inflow, reference)
+    assert relative == pytest.approx([0.3, 1.0, 2.0])
+    assert relative_amplitude(inflow, np.zeros(1)).tolist() == [1.0, 1.0, 1.0]
+    error = relative[:, None, None] * np.ones((3, 3, 8, 6)) * UNITS[:, None, None, None]
+    profile = shared_error(error, relative)
+    assert profile == pytest.approx(np.repeat(UNITS[:, None], 6, axis=1))
+    factor, _ = fit_scales(profile, error, np.zeros(error.shape), relative)
+    assert factor == pytest.approx(np.full(3, FACTOR))
+    calibration = Calibration(profile, factor, reference)
+    found = calibration.standard_deviation("area", np.zeros((3, 8, 6)), inflow, GRID.z)
+    expected = UNITS[1] * FACTOR * relative[:, None, None] * np.ones((3, 8, 6))
+    assert found == pytest.approx(expected)
 
 
 def test_calibration_of_another_shape_is_refused():
@@ -211,4 +244,6 @@ def test_calibration_of_another_shape_is_refused():
         (np.ones((3, 4)), np.array([1.0, -2.0, 1.0]), "negative"),
     ):
         with pytest.raises(InputError, match=message):
-            Calibration(profile, scale).check()
+            Calibration(profile, scale, np.ones(1)).check()
+    with pytest.raises(InputError, match="do not belong together"):
+        Calibration(np.ones((3, 4)), np.ones(3), np.ones(2)).check()
