@@ -103,8 +103,9 @@ def _describe_novelty(scores: Mapping[str, float]) -> tuple[list[Any], str]:
     if not scores:
         return ["No novelty score: this model has no record of its training data."], "outside"
     beyond = [name for name, score in scores.items() if score > EDGE]
-    numbers = ", ".join(f"{name} {score:.2f}" for name, score in scores.items())
-    small = html.Small(f"Novelty: {numbers}; above 1 is outside.")
+    largest = sorted(scores, key=lambda name: -scores[name])[: max(len(beyond), 1)]
+    numbers = ", ".join(f"{name} {scores[name]:.2f}" for name in largest)
+    small = html.Small(f"Largest novelty: {numbers}; above 1 is outside.")
     if not beyond:
         return [html.Strong("Inside the training data"), small], "inside"
     text = [

@@ -161,15 +161,11 @@ class Explorer:
         return tube.simulate([inputs.vessel], [inputs.waveform], outlet)
 
     def novelty(self, inputs: Inputs) -> dict[str, float]:
-        """Return the distances of waveform, vessel and period from the training data.
-
-        The edge of the training data is 1.  A model without record of them has none.
-        """
+        """Return the scores of :meth:`~pcnde_bridge.PCNDE.novelty_scores` by name."""
         found = self.prediction(inputs)
         grid = Grid(found.time, found.z, found.period)
         scores = self.model.novelty_scores(found.flow[:, :, 0], found.area_undeformed, grid)
-        names = {"inflow": "waveform", "undeformed area": "vessel", "period": "period"}
-        return {names[name]: float(score[0]) for name, score in scores.items()}
+        return {name: float(score[0]) for name, score in scores.items()}
 
     def csv(self, inputs: Inputs) -> str:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""

@@ -171,9 +171,9 @@ def check_plausible(
     check_units(sizes, stated, OPTION, unique=True)
     if novelty is None or "area" in stated:
         return
-    _, found = novelty.score(inflow, area, grid.z)
+    found = novelty.score_shapes(inflow, area, grid.z)["shape of the vessel"]
     for name, factor in (("radii", np.pi), ("diameters", np.pi / 4)):
-        _, squared = novelty.score(inflow, factor * area**2, grid.z)
+        squared = novelty.score_shapes(inflow, factor * area**2, grid.z)["shape of the vessel"]
         if (squared < found / 4).all() and (found > 1).all():
             raise InputError(
                 f"area_undeformed looks like {name}: {factor:.4g} times their squares are much "

@@ -137,7 +137,7 @@ class PCNDE(Predictor):
         procedure = kind_of(settings).procedure(cases, settings, engine)
         state = Trainer(procedure, checkpoint).fit(seed, progress)
         facts = provenance(cases, engine, seed) | state.facts
-        novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.z)
+        novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.grid, procedure.left_out)
         fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history
         return cls(*fitted, state.uncertainty, novelty)
 

@@ -38,8 +38,6 @@ from pcnde_bridge.uncertainty.sampling import RandomNumbers, Uncertainty
 Facts = Mapping[str, Any]
 Arrays = dict[str, AnyArray]
 
-_PERIOD_EDGE = 0.1  # relative difference of the period that scores 1
-
 
 class Predictor(ABC):
     """Common part of a model and an ensemble.
@@ -130,8 +128,7 @@ class Predictor(ABC):
         Warns
         -----
         OutsideTrainingWarning
-            If an input lies outside the training data; a period does if it differs by
-            more than a tenth.
+            If an input lies outside the training data; the message names the quantities.
 
         Raises
         ------
@@ -229,11 +226,13 @@ class Predictor(ABC):
             check_plausible(inputs, outside, stated, self.novelty)
         if novelty is not None and outside.any():
             worst = int(novelty.argmax())
-            farthest = max(scores, key=lambda name: float(scores[name][worst]))
+            beyond = {name: score[worst] for name, score in scores.items() if score[worst] > EDGE}
+            ranked = sorted(beyond, key=lambda name: -beyond[name])
             warnings.warn(
                 f"{outside.sum()} of {len(novelty)} cases lie outside the training data, most of "
-                f"all case {worst} with its {farthest} (score {novelty[worst]:.2f}; 1 is the edge "
-                "of the training data). The prediction extrapolates.",
+                f"all case {worst} in "
+                + ", ".join(f"{name} (score {beyond[name]:.2f})" for name in ranked)
+                + "; 1 is the edge of the training data. The prediction extrapolates.",
                 OutsideTrainingWarning,
                 stacklevel=3,
             )
@@ -280,16 +279,17 @@ class Predictor(ABC):
         Returns
         -------
         dict of str to array of shape (case,)
-            Scores of ``inflow``, ``undeformed area`` and ``period``; 1 is the edge of the
+            Scores by :data:`~pcnde_bridge.uncertainty.novelty.QUANTITIES` and, for models that
+            are bound to their grid, of the shapes; 1 is the edge of the
             training data, and the largest is the prediction's ``novelty``.  Empty if the
             model has no record of its training data.
         """
         if self.novelty is None:
             return {}
-        of_inflow, of_area = self.novelty.score(inflow, area_undeformed, grid.z)
-        of_period = abs(grid.period / self.grid.period - 1) / _PERIOD_EDGE
-        period = np.full(len(inflow), of_period)
-        return {"inflow": of_inflow, "undeformed area": of_area, "period": period}
+        scores = self.novelty.score(inflow, area_undeformed, grid)
+        if not self.any_grid:
+            scores |= self.novelty.score_shapes(inflow, area_undeformed, grid.z)
+        return scores
 
     def evaluate(self, cases: Cases) -> pd.DataFrame:
         """Return relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.

@@ -73,7 +73,7 @@ class ClosureTraining(Procedure[ClosureState]):
         self.cases, self.engine = cases, engine
         self.config = _with_wall_law(cases, config)
         folds = config.correction.folds
-        self._left_out = neighboring_folds(cases, folds) if folds else []
+        self.left_out = neighboring_folds(cases, folds) if folds else []
 
     def start(self, seed: int) -> ClosureState:
         """Return the state without any closure."""
@@ -81,12 +81,12 @@ class ClosureTraining(Procedure[ClosureState]):
 
     def steps(self, _: ClosureState) -> list[Step]:
         """Return all steps: one for each closure, then one for each fold that is left out."""
-        members = [Step("correction", number + 2) for number in range(len(self._left_out))]
+        members = [Step("correction", number + 2) for number in range(len(self.left_out))]
         return [*(Step(name) for name in CLOSURES), *members]
 
     def count_iterations(self, _: ClosureState) -> int:
         """Return the largest possible number of iterations."""
-        return 3 * self.config.correction.evaluations + len(self._left_out) * self._few
+        return 3 * self.config.correction.evaluations + len(self.left_out) * self._few
 
     @property
     def _few(self) -> int:
@@ -116,19 +116,19 @@ class ClosureTraining(Procedure[ClosureState]):
         else:
             name = f"member_{step.epoch - 2}"
             first, evaluations = state.vectors["correction"], self._few
-            weight[self._left_out[step.epoch - 2]] = 0
+            weight[self.left_out[step.epoch - 2]] = 0
         fitted = state.parameters, cases, config, first, weight, evaluations
         optimize = partial(closure_fit.fit_correction, closures, *fitted)
         return _with(state, name, recorder.run("correction", step.epoch, 1, optimize))
 
     def finish(self, state: ClosureState) -> ClosureState:
         """Calibrate the uncertainty on the folds that were left out."""
-        if not self._left_out:
+        if not self.left_out:
             return state
-        members = [state.vectors[f"member_{k}"] for k in range(len(self._left_out))]
+        members = [state.vectors[f"member_{k}"] for k in range(len(self.left_out))]
         rng = np.random.default_rng([state.seed, 1])
         model = SampledModel(self.engine.closures, state.parameters, self.config)
-        uncertainty = calibrate(model, members, self._left_out, self.cases, rng)
+        uncertainty = calibrate(model, members, self.left_out, self.cases, rng)
         return replace(state, uncertainty=uncertainty)
 
     def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:

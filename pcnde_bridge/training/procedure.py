@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 from pcnde_bridge._typing import AnyArray
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.training.history import Iteration, Recorder
 from pcnde_bridge.uncertainty.sampling import Uncertainty
@@ -76,12 +77,15 @@ class Procedure(ABC, Generic[State]):
         Kind and version of the checkpoint file, if the procedure can be resumed.
     cases, config, engine
         Training cases, settings and compute engine.
+    left_out : sequence of arrays of int
+        Positions of the cases that the fits for the uncertainty leave out, one after the other.
     """
 
     checkpoint_format: ClassVar[tuple[str, int]]
     cases: Cases
     config: Config
     engine: Engine
+    left_out: Sequence[Positions] = ()
 
     @abstractmethod
     def start(self, seed: int) -> State:

@@ -1,23 +1,29 @@
-"""Distance of an input from the training data, as a score.
+"""Distance of an input from the training data, as scores.
 
-Inflow and area profile are each described by a few numbers that do not depend on the
-grid, and compared with the box that the training cases fill in their principal
-components.  The score is 1 at the edge of the box, and 1.2 a fifth of its half width
-beyond the edge.  The remainder that the components cannot describe is compared with the
+Each case is described by quantities with a name, such as the amplitude of the inflow or the
+blockage.  A quantity's score is 1 at the edge of the range of the training cases, and 1.2 a
+fifth of the half width beyond the edge.  Where fits that left out cases have shown how far a
+model extrapolates, the range reaches as far beyond the training cases as those cases lay beyond
+the others.
+
+Models that are bound to their grid learn from the shapes themselves.  For them, inflow and area
+profile are each compared with the box that the training cases fill in their principal
+components.  The remainder that the components cannot describe is compared with the
 largest remainder of the training cases, but at least with 2 % of their size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_finite, check_shape
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.splits import Positions
 from pcnde_bridge.errors import PCNDEWarning
 
 EDGE = 1 + 1e-6
@@ -27,7 +33,21 @@ _HARMONICS = 12
 _PLACES = 101  # equally spaced points of an area's description
 _SMALLEST_COMPONENT = 1e-3  # relative to the size of all descriptions
 _TOLERATED = 0.02  # remainder relative to the size of a description
-_CHUNK = 256  # cases whose descriptions fit the processor's cache
+
+QUANTITIES = (
+    "mean flow",
+    "amplitude",
+    "frequency",
+    "area",
+    "blockage",
+    "widening",
+    "length of the vessel",
+    "length of the stenosis",
+)
+"""Names of the scores, in the order of :func:`describe`."""
+
+_SMALLEST_HALF_WIDTH = 0.1  # of a range, relative to the quantity
+_STEADY, _STRAIGHT = 0.02, 0.02  # relative amplitude and blocked fraction without meaning
 
 
 class OutsideTrainingWarning(PCNDEWarning):
@@ -67,6 +87,15 @@ class _Box(NamedTuple):
         tolerated = max(float(rest), _TOLERATED * float(np.linalg.norm(center)))
         return cls(center, axes, span, np.array([tolerated]))
 
+    def score(self, described: Array) -> Array:
+        """Score descriptions of shape (case, n)."""
+        moved = described - self.center
+        along = moved @ self.axes.T
+        beyond = np.abs(along - self.range[0]) / self.range[1]
+        rest = np.linalg.norm(moved - along @ self.axes, axis=1) / self.rest
+        result: Array = np.maximum(beyond.max(axis=1, initial=0.0), rest)
+        return result
+
     def ends(self) -> Array:
         """Return the descriptions at both limits of the first component, shape (2, n)."""
         if not len(self.axes):  # a single training case
@@ -78,14 +107,23 @@ class _Box(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """Boxes of the training cases' inflows and areas, which score other inputs."""
+    """Ranges and boxes of the training cases, which score other inputs.
 
+    Attributes
+    ----------
+    ranges : array of shape (2, 8)
+        Middle and half width of each of :data:`QUANTITIES`.
+    inflow, area : _Box
+        Boxes of the inflows' harmonics and of the area profiles.
+    """
+
+    ranges: Array
     inflow: _Box
     area: _Box
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> Novelty:
-        """Return the boxes of a model file, whose arrays have the names of ``dict(novelty)``.
+        """Return the novelty of a model file, whose arrays have the names of ``dict(novelty)``.
 
         Raises
         ------
@@ -99,11 +137,19 @@ class Novelty:
             for array, shape in zip(boxes[-1], ((n,), (k, n), (2, k), (1,)), strict=True):
                 check_shape(f"The novelty's array of {name}", array, shape)
                 check_finite(f"The novelty's array of {name}", array)
-        return cls(*boxes)
+        check_shape("The novelty's ranges", arrays["ranges"], (2, len(QUANTITIES)))
+        check_finite("The novelty's ranges", arrays["ranges"])
+        return cls(arrays["ranges"], *boxes)
 
     @classmethod
-    def fit(cls, inflow: Array, area_undeformed: Array, z: Array) -> Novelty:
-        """Find the box of the training cases.
+    def fit(
+        cls,
+        inflow: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        left_out: Sequence[Positions] = (),
+    ) -> Novelty:
+        """Find the ranges and boxes of the training cases.
 
         Parameters
         ----------
@@ -111,38 +157,62 @@ class Novelty:
             Q at the inlet, mL/s, over one cycle.
         area_undeformed : array of shape (case, z)
             S_u, cm².
-        z : array of shape (z,)
-            Points, cm.
+        grid : Grid
+            Time points (s) and points (cm).
+        left_out : sequence of arrays of int
+            Positions of the cases that were left out of fits; each range reaches as far beyond
+            the training cases as the cases left out lay beyond the others.
         """
-        harmonics = inflow @ _harmonic_analysis(inflow.shape[1])
-        interpolation, length = _interpolation(z)
-        profiles = np.sqrt(area_undeformed) @ interpolation + length
-        return cls(_Box.fit(harmonics), _Box.fit(profiles))
+        ranges = _ranges(describe(inflow, area_undeformed, grid), left_out)
+        harmonics, profiles = _harmonics(inflow), _profiles(area_undeformed, grid.z)
+        return cls(ranges, _Box.fit(np.nan_to_num(harmonics)), _Box.fit(profiles))
 
     def __iter__(self) -> Iterator[tuple[str, Array]]:
+        yield "ranges", self.ranges
         for name, box in (("inflow", self.inflow), ("area", self.area)):
             yield from ((f"{name}_{part}", array) for part, array in box._asdict().items())
 
-    def score(self, inflow: Array, area_undeformed: Array, z: Array) -> tuple[Array, Array]:
-        """Score each case's inflow and area; values beyond 1 are outside the training data.
+    def score(self, inflow: Array, area_undeformed: Array, grid: Grid) -> dict[str, Array]:
+        """Score each quantity of each case; values beyond 1 are outside the training data.
 
         Parameters
         ----------
-        inflow, area_undeformed, z
+        inflow, area_undeformed, grid
             Inputs as for :meth:`fit`, on any grid.
 
         Returns
         -------
-        tuple of two arrays of shape (case,)
-            Scores of the inflow and of the area.
+        dict of str to array of shape (case,)
+            Scores, by the names of :data:`QUANTITIES`.  What an input does not have, such as
+            the frequency of a steady flow, scores 0.
         """
-        of_inflow, of_area = _inflow_scorer(self, inflow.shape[1]), _area_scorer(self, z.tobytes())
-        scores = np.empty((2, len(inflow)))
-        for start in range(0, len(inflow), _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            scores[0, rows] = of_inflow(inflow[rows])
-            scores[1, rows] = of_area(np.sqrt(area_undeformed[rows]))
-        return scores[0], scores[1]
+        middle, half = self.ranges
+        scores = np.abs(describe(inflow, area_undeformed, grid) - middle) / half
+        return dict(zip(QUANTITIES, np.nan_to_num(scores.T), strict=True))
+
+    def score_shapes(self, inflow: Array, area_undeformed: Array, z: Array) -> dict[str, Array]:
+        """Score the ``shape of the inflow`` and the ``shape of the vessel`` of each case.
+
+        Parameters
+        ----------
+        inflow, area_undeformed : array
+            Inputs as for :meth:`fit`.
+        z : array of shape (z,)
+            Points, cm.
+
+        Returns
+        -------
+        dict of str to array of shape (case,)
+            Scores; values beyond 1 are outside the training data.
+        """
+        # Harmonics above Nyquist's frequency count as those of the mean inflow.
+        harmonics = _harmonics(inflow)
+        harmonics = np.where(np.isnan(harmonics), self.inflow.center, harmonics)
+        profiles = _profiles(area_undeformed, z)
+        return {
+            "shape of the inflow": self.inflow.score(harmonics),
+            "shape of the vessel": self.area.score(profiles),
+        }
 
     def inflow_ends(self, n_times: int) -> Array:
         """Return both ends of the training inflows along their first component.
@@ -180,65 +250,65 @@ class Novelty:
         return np.array([np.interp(place, relative, end[:_PLACES]) ** 2 for end in ends])
 
 
-def _harmonic_analysis(n_times: int) -> Array:
-    """Return the matrix (time, n) that gives the first harmonics, real and imaginary parts.
+def describe(inflow: Array, area_undeformed: Array, grid: Grid) -> Array:
+    """Return the quantities of each case, shape (case, 8), in the order of :data:`QUANTITIES`.
 
-    Coefficients from Nyquist's frequency on are 0.
+    These are the cycle mean Q̄ of the inflow (mL/s); the root mean square of Q − Q̄ (mL/s); the
+    root mean square of ∂Q/∂t over that, divided by 2π (1/s); the median S_m of the undeformed
+    area (cm²); ln(min S_u / S_m); ln(max S_u / S_m); the length of the vessel (cm); and that of
+    the stenosis, ∫ max(1 − S_u/S_m, 0) dz over the blocked fraction (cm).  The frequency of a
+    steady flow and the length without a stenosis are NaN.
     """
-    harmonic = np.arange(_HARMONICS + 1)
-    phase = 2 * np.pi / n_times * (np.arange(n_times)[:, None] * harmonic % n_times)
-    waves = np.stack([np.cos(phase), -np.sin(phase)], axis=1) * (harmonic < n_times / 2)
-    return waves.reshape(n_times, -1) / n_times
+    harmonics = np.fft.rfft(inflow, axis=1)[:, 1:]
+    order = np.arange(1, harmonics.shape[1] + 1)
+    mean, amplitude = inflow.mean(axis=1), inflow.std(axis=1)
+    power = np.abs(harmonics) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        frequency = np.sqrt(power @ order**2 / power.sum(axis=1)) / grid.period
+        middle = np.median(area_undeformed, axis=1)
+        ratio = area_undeformed / middle[:, None]
+        blocked = np.maximum(1 - ratio, 0)
+        largest = blocked.max(axis=1)
+        length = np.trapezoid(blocked, grid.z, axis=1) / largest
+    frequency[amplitude <= _STEADY * np.abs(mean)] = np.nan
+    length[largest <= _STRAIGHT] = np.nan
+    whole = np.full(len(inflow), np.ptp(grid.z))
+    extremes = np.log(ratio.min(axis=1)), np.log(ratio.max(axis=1))
+    return np.stack([mean, amplitude, frequency, middle, *extremes, whole, length], axis=1)
 
 
-def _interpolation(z: Array) -> tuple[Array, Array]:
-    """Return the matrix (z, n) that interpolates to equally spaced places, and the length (n,).
+def _ranges(described: Array, left_out: Sequence[Positions]) -> Array:
+    """Return middle and half width of the range of each quantity, (2, 8)."""
+    low, high = np.fmin.reduce(described), np.fmax.reduce(described)
+    beyond = np.zeros((2, len(QUANTITIES)))
+    for fold in left_out:
+        rest = np.delete(described, fold, axis=0)
+        if len(rest):
+            beyond = np.fmax(beyond, [np.fmin.reduce(rest) - low, high - np.fmax.reduce(rest)])
+    low, high = low - beyond[0], high + beyond[1]
+    middle = (low + high) / 2
+    size = np.abs(middle)
+    # The amplitude is compared with the mean flow, and ratios of areas with 1.
+    size[1], size[4:6] = size[0], 1
+    half = np.maximum((high - low) / 2, _SMALLEST_HALF_WIDTH * size)
+    # What no training case has, such as a frequency, is scored by what it comes from.
+    return np.stack([np.nan_to_num(middle), np.nan_to_num(half, nan=np.finfo(half.dtype).max)])
 
-    Applied to √S_u, the radius up to √π, their sum describes a vessel.
+
+def _harmonics(inflow: Array) -> Array:
+    """Return the first harmonics of each inflow, real parts before imaginary ones, (case, 26).
+
+    Coefficients from Nyquist's frequency on are NaN.
     """
-    place = (z - z[0]) / (z[-1] - z[0])
-    at = np.linspace(0, 1, _PLACES)
-    after = np.clip(np.searchsorted(place, at), 1, z.size - 1)
-    share = (at - place[after - 1]) / (place[after] - place[after - 1])
-    matrix = np.zeros((z.size, _PLACES + 1))
-    matrix[after - 1, np.arange(_PLACES)] = 1 - share
-    matrix[after, np.arange(_PLACES)] = share
-    return matrix, np.append(np.zeros(_PLACES), z[-1] - z[0])
+    found = np.fft.rfft(inflow, axis=1, norm="forward")[:, : (inflow.shape[1] + 1) // 2]
+    harmonics = np.full((len(inflow), _HARMONICS + 1), np.nan, dtype=complex)
+    count = min(found.shape[1], harmonics.shape[1])
+    harmonics[:, :count] = found[:, :count]
+    return np.concatenate([harmonics.real, harmonics.imag], axis=1)
 
 
-_Scorer = Callable[[Array], Array]
-
-
-def _scorer(matrix: Array, constant: Array, box: _Box) -> _Scorer:
-    """Return the function that scores inputs x whose description is ``x @ matrix + constant``.
-
-    It is an affine map first: to the components, in half widths from the middle of the box,
-    and to the remainder, relative to the tolerated remainder.
-    """
-    n_axes, remainder = len(box.axes), np.eye(box.center.size) - box.axes.T @ box.axes
-    directions = np.concatenate([box.axes.T / box.range[1], remainder / box.rest[0]], axis=1)
-    offset = (box.center - constant) @ directions
-    offset[:n_axes] += box.range[0] / box.range[1]
-    whole = matrix @ directions
-
-    def score(x: Array) -> Array:
-        moved = x @ whole - offset
-        beyond, left = np.abs(moved[:, :n_axes]), moved[:, n_axes:]
-        size = np.sqrt(np.einsum("ij,ij->i", left, left))
-        result: Array = np.maximum(beyond.max(axis=1, initial=0.0), size)
-        return result
-
-    return score
-
-
-@lru_cache(maxsize=8)
-def _inflow_scorer(novelty: Novelty, n_times: int) -> _Scorer:
-    analysis, box = _harmonic_analysis(n_times), novelty.inflow
-    # Harmonics above Nyquist's frequency count as those of the mean inflow.
-    unseen = np.where(analysis.any(axis=0), 0.0, box.center)
-    return _scorer(analysis, unseen, box)
-
-
-@lru_cache(maxsize=8)
-def _area_scorer(novelty: Novelty, points: bytes) -> _Scorer:
-    return _scorer(*_interpolation(np.frombuffer(points)), novelty.area)
+def _profiles(area_undeformed: Array, z: Array) -> Array:
+    """Return √S_u at equally spaced places, and the length of the vessel, (case, 102)."""
+    places = np.linspace(z[0], z[-1], _PLACES)
+    profiles = [np.interp(places, z, np.sqrt(area)) for area in area_undeformed]
+    return np.insert(profiles, _PLACES, z[-1] - z[0], axis=1)

@@ -53,7 +53,7 @@ def model():
         np.zeros(1),
     )
     facts = {"cases": len(INFLOW)}
-    novelty = Novelty.fit(INFLOW, AREA, Z)
+    novelty = Novelty.fit(INFLOW, AREA, GRID)
     engine = select_engine("jax")
     return PCNDE(CONFIG, CORRECTED, GRID, engine, facts, (), uncertainty, novelty)
 
@@ -107,7 +107,7 @@ def test_controls_follow_the_training_data(model):
 
 
 def test_controls_for_a_single_training_case_and_without_training_data(model, bound):
-    novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, Z)
+    novelty = Novelty.fit(np.ones((1, 32)), AREA[:1] * 0 + 0.125, GRID)
     steady = PCNDE(CONFIG, CORRECTED, GRID, model.engine, novelty=novelty)
     choices = Choices(steady)
     assert choices.initial.waveform.samples(32) == pytest.approx(np.ones(32))
@@ -124,20 +124,20 @@ def test_controls_for_a_single_training_case_and_without_training_data(model, bo
 def test_stronger_waveforms_and_other_vessels_are_outside(explorer):
     choices = explorer.choices
     inside = explorer.novelty(choices.inputs(0.5, 1.0))
-    assert inside["waveform"] == pytest.approx(1.0, abs=1e-6)
-    assert explorer.novelty(choices.inputs(0.5, choices.scale.maximum))["waveform"] > 1.1
-    moved = explorer.novelty(choices.inputs(0.5, 1.0, position=1.0))
-    assert moved["vessel"] > max(1.0, 3 * inside["vessel"])
+    assert inside["amplitude"] == pytest.approx(1.0, abs=1e-6)
+    assert explorer.novelty(choices.inputs(0.5, choices.scale.maximum))["amplitude"] > 1.1
+    narrower = explorer.novelty(choices.inputs(choices.blockage.maximum, 1.0))
+    assert narrower["blockage"] > max(1.0, 3 * inside["blockage"])
 
 
-def test_another_period_is_outside_as_in_predictions(model, explorer):
+def test_another_frequency_is_outside_as_in_predictions(model, explorer):
     uploaded = table(0.8 * TIME, waveforms()[1])
     waveform, _ = read_waveform(uploaded, "mine.csv", model)
     inputs = explorer.choices.inputs(0.5, 1.0, waveform=waveform)
     scores = explorer.novelty(inputs)
-    assert scores["period"] == pytest.approx(2.0)
+    assert scores["frequency"] == pytest.approx(2.5)
     assert max(scores.values()) == pytest.approx(explorer.prediction(inputs).novelty[0], rel=1e-12)
-    assert explorer.novelty(explorer.choices.inputs(0.5, 1.0))["period"] == 0
+    assert explorer.novelty(explorer.choices.inputs(0.5, 1.0))["frequency"] < 1e-6
 
 
 # ---- curves -----------------------------------------------------------
@@ -291,11 +291,11 @@ def ask(client, **changes):
     return client.post("/_dash-update-component", json=body, headers={"Host": "localhost"})
 
 
-def test_another_period_is_reported_as_outside(client, explorer):
+def test_another_frequency_is_reported_as_outside(client, explorer):
     waveform, length = explorer.choices.base, explorer.choices.length.start
     for period, css_class, text in (
-        (1.0, "inside", "period 0.00"),
-        (0.8, "outside", "The period is unlike any"),
+        (1.0, "inside", "Largest novelty: amplitude 1.00"),
+        (0.8, "outside", "The frequency is unlike any"),
     ):
         changed = dataclasses.asdict(dataclasses.replace(waveform, period=period))
         response = ask(client, length=length, waveform=changed).json["response"]
@@ -429,7 +429,7 @@ def test_novelty_and_its_warning_are_shown(bench, page, model):
     thumb.send_keys(Keys.END)
     bench.wait_for(lambda: novelty.get_attribute("class") == "outside")
     assert "Outside the training data" in novelty.text
-    assert "waveform" in novelty.text
+    assert "amplitude" in novelty.text
     assert "The model extrapolates" in novelty.text
 
 

@@ -16,7 +16,7 @@ from pcnde_bridge.uncertainty.novelty import Novelty
 def check(small_cases):
     """Check the inputs of cases in some units, in place of CGS units without a statement."""
     inflow, area = 1.1 * small_cases.inflow, 1.1 * small_cases.area_undeformed
-    novelty = Novelty.fit(small_cases.inflow, small_cases.area_undeformed, small_cases.z)
+    novelty = Novelty.fit(small_cases.inflow, small_cases.area_undeformed, small_cases.grid)
 
     def check(flow=1.0, of_area=1.0, z=1.0, time=1.0, change=None, units=None):
         s_u = of_area * area if change is None else change(area)

@@ -89,7 +89,7 @@ NEEDED = (
     *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale", "amplitude")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("center", "axes")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("range", "rest")),
-    *("outlet", "losses", "wall", "correction", "history", "time", "z", "period"),
+    *("novelty_ranges", "outlet", "losses", "wall", "correction", "history", "time", "z", "period"),
 )
 
 
@@ -201,7 +201,7 @@ def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
             model.predict_batches(*arguments, **options)
     inflow = INFLOW.copy()
     inflow[14] *= 1.5
-    with pytest.warns(OutsideTrainingWarning, match="1 of 16 .* case 14 with its inflow") as caught:
+    with pytest.warns(OutsideTrainingWarning, match="1 of 16 .* case 14 in mean flow") as caught:
         parts = model.predict_batches(inflow, AREA, batch=6)
     assert caught[0].filename == __file__
     with warnings.catch_warnings():
@@ -293,15 +293,15 @@ def test_finer_grids_give_the_same_result(model, prediction):
 
 def test_longer_period_stores_less_on_the_way(model):
     fast = model.predict(INFLOW, AREA)
-    with pytest.warns(OutsideTrainingWarning, match=r"with its period \(score 90.00"):
+    with pytest.warns(OutsideTrainingWarning, match=r"in frequency \(score 9.00"):
         slow = model.predict(INFLOW, AREA, period=10.0)
-    assert slow.novelty == pytest.approx(90.0)
+    assert slow.novelty == pytest.approx(9.0)
     assert slow.period == 10.0
     assert slow.time[1] == 10 / 32
     stored_fast, stored_slow = (np.abs(p.flow - INFLOW[..., None]).max() for p in (fast, slow))
     assert 0 < stored_slow < 0.3 * stored_fast
-    # A tenth is the edge; a smaller difference does not change the score.
-    assert model.predict(INFLOW[:1], AREA[:1], period=1.1).novelty == pytest.approx(1.0)
+    # A tenth of the frequency is the edge; a smaller difference does not change the score.
+    assert model.predict(INFLOW[:1], AREA[:1], period=1 / 1.1).novelty == pytest.approx(1.0)
     within = model.predict(INFLOW[:1], AREA[:1], period=1.001).novelty
     assert within == model.predict(INFLOW[:1], AREA[:1]).novelty
 
@@ -386,7 +386,8 @@ def scored(model, *inputs, **options):
 def test_training_cases_are_inside(model, cases):
     score, text = scored(model, cases)
     assert score.shape == (16,)
-    assert score.max() == pytest.approx(1.0)
+    # The fits that left out half of the cases tested an extrapolation beyond the others.
+    assert 0.4 < score.max() < 0.6
     assert (score > 0).all()
     assert text is None
     between = scored(model, (INFLOW[5] + INFLOW[6]) / 2, (AREA[5] + AREA[9]) / 2)
@@ -398,17 +399,18 @@ def test_stronger_inflow_and_narrower_and_longer_vessels_are_outside(model):
     inflow[14] = 1.5 * INFLOW[14]
     narrower[3] = 0.8 * AREA[3]
     for arguments, options, case, what in (
-        ((inflow, AREA), {}, 14, "inflow"),
-        ((INFLOW, narrower), {}, 3, "undeformed area"),
+        ((inflow, AREA), {}, 14, "mean flow"),
+        ((INFLOW, narrower), {}, 3, "area"),
     ):
         score, text = scored(model, *arguments, **options)
         assert list(np.flatnonzero(score > 1 + 1e-9)) == [case]
         assert "1 of 16 cases lie outside" in text
-        assert f"case {case} with its {what} (score {score[case]:.2f}" in text
+        assert f"case {case} in {what} (score {score[case]:.2f}" in text
     score, text = scored(model, INFLOW, AREA, z=1.3 * Z)
     assert (score > 1).all()
     assert "16 of 16" in text
-    assert "undeformed area" in text
+    assert "length of the vessel (score 3.00)" in text
+    assert "length of the stenosis (score 3.00)" in text
 
 
 def test_warning_points_at_the_caller(model):
