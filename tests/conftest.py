@@ -8,7 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ToyEngine, fit_physics, made_by_the_closures, skip_without_julia
+from helpers import (
+    ToyEngine,
+    case_arguments,
+    fit_physics,
+    made_by_the_closures,
+    skip_without_julia,
+)
 from hypothesis import settings
 
 from pcnde_bridge.cli import main as cli
@@ -77,6 +83,14 @@ def small_cases() -> Cases:
             "patient": [f"patient {g}" for g in geometry],
         },
     )
+
+
+@pytest.fixture(scope="session")
+def sheared_cases(small_cases) -> Cases:
+    """The same with a wall shear stress, which is negative at the end of the strongest cases."""
+    stress = 1.2 * small_cases.poiseuille_wall_shear_stress()
+    stress[3::4, :3, -2:] *= -1
+    return Cases(**case_arguments(small_cases, wall_shear_stress=stress))
 
 
 @pytest.fixture(scope="session")

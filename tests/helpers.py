@@ -232,7 +232,7 @@ def interrupt_at(engine, monkeypatch, number):
 
 def case_arguments(cases, **changes):
     """Return the arguments that create a data set, with changes."""
-    names = ("flow", "area", "pressure", "area_undeformed", "time", "z")
+    names = *cases.variables(), "area_undeformed", "time", "z"
     given = {name: np.array(getattr(cases, name)) for name in names}
     return given | {"period": cases.period, "labels": cases.labels} | changes
 

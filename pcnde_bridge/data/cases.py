@@ -19,7 +19,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions, split_positions
-from pcnde_bridge.data.variables import UNITS, VARIABLES
+from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import FileError
 
 _LABELS = "labels/"  # prefix of the labels' names among the arrays
@@ -62,7 +62,9 @@ class Cases(VesselQuantities):
         ``1 - min(area_undeformed) / area_undeformed[0]``.  Further columns of numbers or
         text are retained; their names must be Python names.  By default ``geometry``
         counts the cases from 0 and ``waveform`` is 0.
-
+    wall_shear_stress : array_like, shape (n_cases, n_times, n_points), optional
+        Wall shear stress (dyn/cm²), the mean around the circumference, either of its axial
+        component or, as in the published data, of its magnitude.
     check : bool
         Refuse implausible data.  If False, implausible magnitudes give a warning only.
 
@@ -85,6 +87,7 @@ class Cases(VesselQuantities):
     area_undeformed: Array
     time: Array
     z: Array
+    wall_shear_stress: Array | None
     period: float
     _labels: pd.DataFrame
 
@@ -99,19 +102,22 @@ class Cases(VesselQuantities):
         *,
         period: float | None = None,
         labels: pd.DataFrame | Mapping[str, Any] | None = None,
+        wall_shear_stress: ArrayLike | None = None,
         check: bool = True,
     ) -> None:
-        given = (flow, area, pressure, area_undeformed, time, z)
-        arrays = check_arrays(dict(zip(UNITS, given, strict=True)))
+        given = flow, area, pressure, area_undeformed, time, z
+        optional = {} if wall_shear_stress is None else {"wall_shear_stress": wall_shear_stress}
+        arrays = check_arrays(dict(zip(UNITS, given, strict=False)) | optional)
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
-        self.__setstate__({**arrays, "period": cycle, "_labels": table})
+        fields = {"wall_shear_stress": None, **arrays}
+        self.__setstate__({**fields, "period": cycle, "_labels": table})
         check_plausible(arrays, strict=check)
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         """Set the fields, also of copies, whose arrays would be writeable otherwise."""
         for name, value in state.items():
-            if name in UNITS:
+            if name in UNITS and value is not None:
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
 
@@ -153,9 +159,11 @@ class Cases(VesselQuantities):
     def __repr__(self) -> str:
         names = "geometry", "waveform"
         kinds = ", ".join(counted(self._labels[name].nunique(), name) for name in names)
+        more = "" if self.wall_shear_stress is None else "; with wall shear stress"
         return (
             f"Cases({counted(self.n_cases, 'case')}: {kinds}; {self.n_times} time points over "
-            f"{self.period:g} s; {self.n_points} points, z from {self.z[0]:g} to {self.z[-1]:g} cm)"
+            f"{self.period:g} s; {self.n_points} points, z from {self.z[0]:g} to "
+            f"{self.z[-1]:g} cm{more})"
         )
 
     def __eq__(self, other: object) -> bool:
@@ -179,7 +187,8 @@ class Cases(VesselQuantities):
 
     def _contents(self) -> dict[str, AnyArray]:
         """Return the whole content as arrays; labels are named ``labels/<column>``."""
-        contents = {name: getattr(self, name) for name in UNITS} | {"period": np.array(self.period)}
+        contents = {name: v for name in UNITS if (v := getattr(self, name)) is not None}
+        contents["period"] = np.array(self.period)
         for column in self._labels.columns:
             values = self._labels[column].to_numpy()
             if values.dtype.kind not in "biuf":
@@ -194,10 +203,11 @@ class Cases(VesselQuantities):
         -------
         DataFrame
             Columns of the labels (geometry, waveform, blockage and any other), time (s),
-            z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²) and area_undeformed (cm²),
-            with ``n_cases * n_times * n_points`` rows; z varies fastest.
+            z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²), wall_shear_stress (dyn/cm²,
+            if there is one) and area_undeformed (cm²), with ``n_cases * n_times * n_points``
+            rows; z varies fastest.
         """
-        return self._tidy({name: getattr(self, name) for name in VARIABLES})
+        return self._tidy(self.variables())
 
     # ---- subsets -------------------------------------------------------
 
@@ -230,9 +240,8 @@ class Cases(VesselQuantities):
     def _take(self, positions: Positions) -> Cases:
         """Return the cases at valid positions."""
         taken = object.__new__(Cases)
-        state = self.__dict__ | {
-            name: getattr(self, name)[positions] for name in (*VARIABLES, "area_undeformed")
-        }
+        arrays = {**self.variables(), "area_undeformed": self.area_undeformed}
+        state = self.__dict__ | {name: values[positions] for name, values in arrays.items()}
         state["_labels"] = self._labels.iloc[positions].reset_index(drop=True)
         taken.__setstate__(state)
         return taken
@@ -305,7 +314,7 @@ class Cases(VesselQuantities):
             If the file is truncated, damaged, foreign, or of a newer version.
         """
         contents = read_cases(path)
-        arrays = {name: contents[name] for name in UNITS}
+        arrays = {name: contents[name] for name in UNITS if name in contents}
         try:
             period, labels = contents["period"].item(), with_prefix(_LABELS, contents)
             cases = cls(**arrays, period=period, labels=labels, check=False)

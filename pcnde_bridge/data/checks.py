@@ -20,7 +20,7 @@ from pcnde_bridge._utils.validation import (
     real_array,
 )
 from pcnde_bridge.data.plausibility import CONVERT, check_flow, check_units, sizes_of
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
 
@@ -59,8 +59,9 @@ def _check_shapes(arrays: Mapping[str, Array]) -> None:
     check_shape("area_undeformed", undeformed, (n_cases, n_points), "case, z")
     if n_cases < 1:
         raise InputError("there is no case: area_undeformed has length 0 along its first axis")
-    for name in VARIABLES:
-        check_shape(name, arrays[name], (n_cases, n_times, n_points), "case, time, z")
+    for name in FIELDS:
+        if name in arrays:
+            check_shape(name, arrays[name], (n_cases, n_times, n_points), "case, time, z")
 
 
 def check_time(arrays: Mapping[str, Array], period: float | None) -> float:

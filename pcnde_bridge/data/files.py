@@ -13,7 +13,7 @@ from pcnde_bridge._utils.archive import check_format
 from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed
-from pcnde_bridge.data.variables import UNITS, VARIABLES
+from pcnde_bridge.data.variables import FIELDS, UNITS, VARIABLES
 from pcnde_bridge.errors import FileError
 
 FORMAT = "pcnde-cases"
@@ -55,7 +55,9 @@ def read_cases(path: StrPath) -> dict[str, AnyArray]:
     kind, read = (".npz", _read_npz) if suffix == ".npz" else ("HDF5", _read_h5)
     with reading(path, f"an {kind} file that Cases.save wrote"):
         contents = read(Path(path))
-    absent = [key for key in (*UNITS, "period", "fingerprint") if key not in contents]
+    required = {*UNITS}.difference(FIELDS).union(VARIABLES)
+    keys = *(name for name in UNITS if name in required), "period", "fingerprint"
+    absent = [key for key in keys if key not in contents]
     if absent:
         raise FileError(f"{path} is incomplete: it lacks {listed(absent)}; save it again")
     return contents
@@ -95,11 +97,10 @@ def _write_h5(
         file.create_group("labels", track_order=True)
         for name, values in contents.items():
             file[name] = _h5_text(values) if values.dtype.kind == "U" else values
-        for name, units in (*UNITS.items(), ("period", "s")):
-            file[name].attrs["units"] = np.bytes_(units)
-        for name in VARIABLES:
-            file[name].attrs["axes"] = np.bytes_("case, time, z")
-        file["area_undeformed"].attrs["axes"] = np.bytes_("case, z")
+        axes = {**dict.fromkeys(FIELDS, "case, time, z"), "area_undeformed": "case, z"}
+        for key, texts in (("units", {**UNITS, "period": "s"}), ("axes", axes)):
+            for name in texts.keys() & contents.keys():
+                file[name].attrs[key] = np.bytes_(texts[name])
 
 
 def _h5_text(values: AnyArray) -> AnyArray:

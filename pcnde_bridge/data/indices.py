@@ -17,6 +17,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_values, real_array
 from pcnde_bridge.data.units import FACTORS
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 
 NO_STENOSIS = 0.99
@@ -44,6 +45,19 @@ def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: floa
         ρ (g/cm³) and μ (poise).
     """
     return density * abs(flow) * diameter(area) / (area * viscosity)
+
+
+def poiseuille_wall_shear_stress(flow: Array, area: Array, viscosity: float = 0.04) -> Array:
+    """Return Poiseuille's wall shear stress 4·μ·Q/(π·r³), dyn/cm².
+
+    Parameters
+    ----------
+    flow, area : array, shape (...)
+        Q (mL/s) and S (cm²).
+    viscosity : float
+        μ, poise.
+    """
+    return np.asarray(4 * viscosity * flow / (math.pi * (diameter(area) / 2) ** 3))
 
 
 def healthy_area(z: Array, area_undeformed: Array) -> Array:
@@ -176,6 +190,7 @@ class VesselQuantities:
         flow: Array
         area: Array
         pressure: Array | None
+        wall_shear_stress: Array | None
         area_undeformed: Array
         time: Array
         z: Array
@@ -183,6 +198,10 @@ class VesselQuantities:
         @property
         def labels(self) -> pd.DataFrame:
             """Labels, one row for each case."""
+
+    def variables(self) -> dict[str, Array]:
+        """Return flow, area, pressure and wall shear stress by name, if there are such."""
+        return {name: v for name in FIELDS if (v := getattr(self, name)) is not None}
 
     def _tidy(self, variables: Mapping[str, Array]) -> pd.DataFrame:
         """Return a row for each case, time point and axial position; z varies fastest."""
@@ -215,11 +234,8 @@ class VesselQuantities:
         InputError
             If there is no pressure, or a position or the unit is not usable.
         """
-        if units not in FACTORS["pressure"]:
-            raise InputError(f"Unknown units {units!r}; use one of {list(FACTORS['pressure'])}.")
-        positions = self._positions(proximal, distal)
-        drop = pressure_drop(self._given_pressure(), self.z, *positions)
-        return np.asarray(drop / FACTORS["pressure"][units])
+        factor, positions = _factor("pressure", units), self._positions(proximal, distal)
+        return np.asarray(pressure_drop(self._given_pressure(), self.z, *positions) / factor)
 
     def ffr(self, proximal: Position = None, distal: Position = None) -> Array:
         """Return the fractional flow reserve, the ratio of the mean pressures over a cycle.
@@ -321,8 +337,51 @@ class VesselQuantities:
         -------
         array of shape (case, time, z)
         """
-        radius = diameter(self.area) / 2
-        return np.asarray(4 * viscosity * self.flow / (math.pi * radius**3))
+        return poiseuille_wall_shear_stress(self.flow, self.area, viscosity)
+
+    def time_averaged_wall_shear_stress(self, units: str = "dyn/cm^2") -> Array:
+        """Return the mean of the wall shear stress's magnitude over a cycle (TAWSS).
+
+        Parameters
+        ----------
+        units : {'dyn/cm^2', 'Pa'}
+            Unit of the result; 1 Pa is 10 dyn/cm².
+
+        Returns
+        -------
+        array of shape (case, z)
+
+        Raises
+        ------
+        InputError
+            If there is no wall shear stress, or the unit is unknown.
+        """
+        factor = _factor("wall_shear_stress", units)
+        return np.asarray(np.abs(self._given_wall_shear_stress()).mean(axis=1) / factor)
+
+    def peak_wall_shear_stress(self, units: str = "dyn/cm^2") -> tuple[Array, Array]:
+        """Return the largest magnitude of the wall shear stress, and where it occurs.
+
+        Parameters
+        ----------
+        units : {'dyn/cm^2', 'Pa'}
+            Unit of the stress.
+
+        Returns
+        -------
+        stress : array of shape (case,)
+            The largest magnitude at all points and time points.
+        position : array of shape (case,)
+            Its axial position, cm.
+
+        Raises
+        ------
+        InputError
+            If there is no wall shear stress, or the unit is unknown.
+        """
+        factor = _factor("wall_shear_stress", units)
+        largest = np.abs(self._given_wall_shear_stress()).max(axis=1)
+        return largest.max(axis=1) / factor, self.z[largest.argmax(axis=1)]
 
     def indices(self, proximal: Position = None, distal: Position = None) -> pd.DataFrame:
         """Return hemodynamic indices, one row for each case.
@@ -341,7 +400,10 @@ class VesselQuantities:
             proximal position (mL/s); ``peak_velocity`` (cm/s) and ``peak_reynolds``, the
             largest along the vessel; and, if there is a pressure, ``mean_drop_mmHg`` and
             ``peak_drop_mmHg`` (see :meth:`pressure_drop`), ``ffr`` (:meth:`ffr`) and
-            ``resistance`` (dyn·s/cm⁵, :meth:`stenosis_resistance`).
+            ``resistance`` (dyn·s/cm⁵, :meth:`stenosis_resistance`).  If there is a wall shear
+            stress, ``peak_wss`` (dyn/cm²) and ``peak_wss_z`` (cm), see
+            :meth:`peak_wall_shear_stress`, and ``peak_tawss`` (dyn/cm²), the largest
+            :meth:`time_averaged_wall_shear_stress` along the vessel.
 
         Raises
         ------
@@ -370,12 +432,23 @@ class VesselQuantities:
             found |= {"mean_drop_mmHg": drop.mean(axis=1), "peak_drop_mmHg": drop.max(axis=1)}
             found["ffr"] = self.ffr(proximal, distal)
             found["resistance"] = self.stenosis_resistance(proximal, distal)
+        if self.wall_shear_stress is not None:
+            found["peak_wss"], found["peak_wss_z"] = self.peak_wall_shear_stress()
+            found["peak_tawss"] = self.time_averaged_wall_shear_stress().max(axis=1)
         return found
 
     def _given_pressure(self) -> Array:
         if self.pressure is None:
             raise InputError("There is no pressure: the model has no pressure stages.")
         return self.pressure
+
+    def _given_wall_shear_stress(self) -> Array:
+        if self.wall_shear_stress is None:
+            raise InputError(
+                "There is no wall shear stress: a data set has it if its files do, and only models "
+                "of the preset 'physics' predict it."
+            )
+        return self.wall_shear_stress
 
     def _positions(self, proximal: Position, distal: Position) -> tuple[Array, Array]:
         """Return the positions of every case, (case,): those given, else the default."""
@@ -391,6 +464,13 @@ class VesselQuantities:
                 f"({downstream[case]:g} cm) in case {case}; exchange them, or give both."
             )
         return upstream, downstream
+
+
+def _factor(quantity: str, units: str) -> float:
+    """Return the factor of a unit to CGS."""
+    if units not in FACTORS[quantity]:
+        raise InputError(f"Unknown units {units!r}; use one of {list(FACTORS[quantity])}.")
+    return FACTORS[quantity][units]
 
 
 def _checked_position(name: str, given: npt.ArrayLike, count: int, z: Array) -> Array:

@@ -18,6 +18,7 @@ from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
 _ROOT = math.sqrt(math.pi) / 2  # root of the area over the diameter
+_SHEAR = {"wall_shear_stress": 1, "area": 1.5, "flow": -1}
 _BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
 
 
@@ -33,6 +34,7 @@ class _Range(NamedTuple):
 
 
 # Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
+# Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise.
 # The published volumes grow by half of the difference of the flows; exact solutions have 1.
 _RANGES = (
     _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, {"pressure": 1}),
@@ -43,6 +45,7 @@ _RANGES = (
     _Range("the area over the undeformed area", "", 0.6, 1.55, {"ratio": 1, "area": 0}),
     _Range("flow over area", " cm/s", 1, 100, {"flow": 1, "area": -1}),
     _Range("the Reynolds number", "", 4, 6000, {"flow": 1, "area": -0.5}, 1 / (_ROOT * _VISCOSITY)),
+    _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, _SHEAR, 1 / (0.32 * _ROOT)),
     _Range("the length over the diameter", "", 2.5, 100, {"z": 1, "area": -0.5}, _ROOT),
     _Range("inflow less outflow, over the growth of the volume,", "", 0.4, 4, _BALANCE),
 )
@@ -73,7 +76,13 @@ Sizes = dict[str, Array]
 
 
 def sizes_of(
-    flow: Array, area: Array, pressure: Array, area_undeformed: Array, time: Array, z: Array
+    flow: Array,
+    area: Array,
+    pressure: Array,
+    area_undeformed: Array,
+    time: Array,
+    z: Array,
+    wall_shear_stress: Array | None = None,
 ) -> Sizes:
     """Measure the sizes of vessels.
 
@@ -85,6 +94,8 @@ def sizes_of(
         Undeformed areas.
     time, z : array
         Time points and points.
+    wall_shear_stress : array of shape (case, time, z), optional
+        Results in any units.
 
     Returns
     -------
@@ -95,6 +106,8 @@ def sizes_of(
     undeformed = area_undeformed[:, None, :]
     sizes["pressure"] = pressure.mean(axis=(1, 2))
     sizes["ratio"] = np.median((area / undeformed).mean(axis=1), axis=1)
+    if wall_shear_stress is not None:
+        sizes["wall_shear_stress"] = np.median(np.abs(wall_shear_stress.mean(axis=1)), axis=1)
     # The other sizes in this product cancel, so that it is measured in their units.
     sizes["balance"] = _balance(flow, area, time, z) * np.divide(
         sizes["area"] * sizes["z"], sizes["flow"] * sizes["time"]
@@ -217,7 +230,7 @@ def check_units(
     if not doubts:
         return
     if len(others) == 1:
-        units, flags = _stated(others[0])
+        units, flags = _stated(others[0], open_)
         state = advice.state.format(units=units, flags=flags)
         hint = f"All numbers are usual with {_listed(others)}: {state}"
     elif others:
@@ -252,10 +265,11 @@ def _combinations(names: Collection[str]) -> Iterator[dict[str, str]]:
         yield {name: unit for name, unit in found.items() if FACTORS[name][unit] != 1}
 
 
-def _stated(units: Mapping[str, str]) -> tuple[str, str]:
-    """Return units as Python and as the command line state them."""
+def _stated(units: Mapping[str, str], open_: Collection[str]) -> tuple[str, str]:
+    """Return the units of quantities as Python and as the command line state them."""
+    factors = factors_to_cgs(units)
     for name, system in SYSTEMS.items():
-        if factors_to_cgs(system) == factors_to_cgs(units):
+        if all(factors_to_cgs(system)[quantity] == factors[quantity] for quantity in open_):
             return repr(name), name
     return str(units), ",".join(f"{name}={unit}" for name, unit in units.items())
 

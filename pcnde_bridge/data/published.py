@@ -2,8 +2,9 @@
 
 One file holds one case, geometry G with waveform W, as float64 of shape (6, 100, 101):
 [variable, time, z].  The variables are flow (mL/s), pressure × undeformed area (dyn),
-undeformed area (cm²), area (cm²), radial displacement and wall shear stress.  The time
-points are 0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
+undeformed area (cm²), area (cm²), radial displacement, and the magnitude of the wall shear
+stress (dyn/cm²), which is zero throughout in data without it.  The time points are
+0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ SHAPE = (6, 100, 101)
 DT, PERIOD, DZ = 0.01, 1.0, 0.04
 """Time step (s), length of the cycle (s) and distance between points (cm)."""
 
-_FLOW, _FORCE, _AREA_UNDEFORMED, _AREA = range(4)
+_FLOW, _FORCE, _AREA_UNDEFORMED, _AREA, _DISPLACEMENT, _WALL_SHEAR_STRESS = range(6)
 _CASE = re.compile(r"case_(0|[1-9]\d*)_(0|[1-9]\d*)")
 
 
@@ -87,24 +88,26 @@ def read_authors_folder(folder: StrPath) -> Cases:
     # Quotients of whole numbers are the decimals nearest to 0.01 k and 0.04 k.
     time, z = np.arange(SHAPE[1]) / round(1 / DT), np.arange(SHAPE[2]) / round(1 / DZ)
     fields = data[_FLOW], data[_AREA], pressure, area_undeformed, time, z
-    return Cases(*fields, period=PERIOD, labels=labels)
+    stress = data[_WALL_SHEAR_STRESS] if data[_WALL_SHEAR_STRESS].any() else None
+    return Cases(*fields, period=PERIOD, labels=labels, wall_shear_stress=stress)
 
 
 def _read_case(path: Path) -> Array:
-    """Return the first four variables of a file."""
+    """Return the variables of a file."""
     with reading(path, "a case of the published data"):
         # Mapped, a length that exceeds the file is noticed before memory is allocated.
         data = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(data, np.ndarray) or data.shape != SHAPE or data.dtype != np.float64:
-            found = f"{data.dtype} {data.shape}" if isinstance(data, np.ndarray) else "an archive"
-            raise TypeError(f"it holds {found} instead of float64 {SHAPE}, [variable, time, z]")
-        used = np.array(data[: _AREA + 1])
-        if not np.isfinite(used).all():
-            place = tuple(int(i) for i in np.argwhere(~np.isfinite(used))[0])
-            raise ValueError(f"value {place} is {used[place]}")
-        if (used[_AREA_UNDEFORMED:] <= 0).any():
+            what = f"{data.dtype} {data.shape}" if isinstance(data, np.ndarray) else "an archive"
+            raise TypeError(f"it holds {what} instead of float64 {SHAPE}, [variable, time, z]")
+        found = np.array(data)
+        found[_DISPLACEMENT] = 0  # not used
+        if not np.isfinite(found).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(found))[0])
+            raise ValueError(f"value {place} is {found[place]}")
+        if (found[[_AREA_UNDEFORMED, _AREA]] <= 0).any():
             raise ValueError("it has areas that are not positive (variables 2 and 3)")
-        undeformed = used[_AREA_UNDEFORMED]
+        undeformed = found[_AREA_UNDEFORMED]
         if not np.allclose(undeformed, undeformed[0], rtol=1e-9, atol=0):
             raise ValueError("the undeformed area (variable 2) changes with time")
-    return used
+    return found

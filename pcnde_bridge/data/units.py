@@ -18,15 +18,20 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     },
     "area": {"cm^2": 1.0, "mm^2": 1e-2, "m^2": 1e4},
     "pressure": {"dyn/cm^2": 1.0, "Pa": 10.0, "kPa": 1e4, "mmHg": MMHG},
+    "wall_shear_stress": {"dyn/cm^2": 1.0, "Pa": 10.0},
     "z": {"cm": 1.0, "mm": 0.1, "m": 100.0},
     "time": {"s": 1.0, "ms": 1e-3},
 }
 """Known units of each quantity and their factors to CGS (cm, s, mL/s, cm², dyn/cm²)."""
 
+_SYSTEMS = {
+    "cgs": ("mL/s", "cm^2", "dyn/cm^2", "dyn/cm^2", "cm", "s"),
+    "mm-g-s": ("mm^3/s", "mm^2", "Pa", "Pa", "mm", "s"),
+    "si": ("m^3/s", "m^2", "Pa", "Pa", "m", "s"),
+}
+
 SYSTEMS: Mapping[str, Mapping[str, str]] = {
-    "cgs": {"flow": "mL/s", "area": "cm^2", "pressure": "dyn/cm^2", "z": "cm", "time": "s"},
-    "mm-g-s": {"flow": "mm^3/s", "area": "mm^2", "pressure": "Pa", "z": "mm", "time": "s"},
-    "si": {"flow": "m^3/s", "area": "m^2", "pressure": "Pa", "z": "m", "time": "s"},
+    name: dict(zip(FACTORS, units, strict=True)) for name, units in _SYSTEMS.items()
 }
 """Systems of units by name."""
 

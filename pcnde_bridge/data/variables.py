@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-__all__ = ["MMHG", "SOLVER_LABELS", "UNITS", "VARIABLES"]
+__all__ = ["FIELDS", "MMHG", "SOLVER_LABELS", "UNITS", "VARIABLES"]
 
 VARIABLES = ("flow", "area", "pressure")
-"""Variables that a model predicts, each of shape (case, time, z)."""
+"""Variables that every model predicts, each of shape (case, time, z)."""
+
+FIELDS = (*VARIABLES, "wall_shear_stress")
+"""These, and the wall shear stress, which data sets and predictions may lack."""
 
 UNITS = {
     "flow": "mL/s",
@@ -14,8 +17,9 @@ UNITS = {
     "area_undeformed": "cm^2",
     "time": "s",
     "z": "cm",
+    "wall_shear_stress": "dyn/cm^2",
 }
-"""Unit (CGS) of each array."""
+"""Unit (CGS) of each array, in the order of the arguments of :class:`pcnde_bridge.Cases`."""
 
 MMHG = 1333.22
 """1 mmHg in dyn/cm²."""

@@ -171,8 +171,11 @@ class Solution(NamedTuple):
         Q, mL/s, and S, cm².
     pressure : array of shape (case, time, z) or None
         p, dyn/cm²; None if the parameters have no pressure stages.
+    wall_shear_stress : array of shape (case, time, z) or None
+        τ, dyn/cm²; None if the equations do not give it.
     """
 
     flow: Array
     area: Array
     pressure: Array | None = None
+    wall_shear_stress: Array | None = None

@@ -186,10 +186,13 @@ class Ensemble(Predictor):
         for name in first.variables():
             values = np.stack([prediction.variables()[name] for prediction in predictions])
             mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
+            means[name] = mean
+            if name not in VARIABLES:
+                continue  # not calibrated
             wanted = self.calibration.standard_deviation(name, spread, inputs.inflow, first.z)
             agree = spread <= 1e-12 * np.abs(mean)
             away = np.where(agree, directions, values - mean)
-            means[name], samples[name] = mean, mean + away * (wanted / np.where(agree, 1.0, spread))
+            samples[name] = mean + away * (wanted / np.where(agree, 1.0, spread))
         return replace(first, **means, samples=samples)
 
     def to_archive(self) -> tuple[dict[str, Any], Arrays]:

@@ -44,8 +44,8 @@ class Kind:
     procedure : callable
         Returns the training procedure for cases, settings and an engine.
     predict : callable
-        Takes engine, settings, parameters, inputs and uncertainty; returns flow, area and
-        pressure, each of shape (case, time, z), and samples if the inputs have random numbers.
+        Takes engine, settings, parameters, inputs and uncertainty; returns the solution, and
+        samples if the inputs have random numbers.
     """
 
     any_grid: bool

@@ -12,6 +12,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
 from pcnde_bridge.data.selection import case_keys
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 
 AREA_MARGIN = 5
@@ -21,6 +22,9 @@ POOLED = "pooled"
 """Label of the row over all cases in :func:`error_table`."""
 
 _DERIVED = {"pressure_drop": pressure_drop, "one_minus_ffr": one_minus_ffr}
+
+ERRORS = (*FIELDS, *_DERIVED, "time_averaged_wall_shear_stress")
+"""Names of all errors."""
 
 
 def relative_error(predicted: Array, reference: Array) -> float:
@@ -56,12 +60,13 @@ def pooled_errors(predicted: Mapping[str, Array], cases: Cases) -> dict[str, flo
     With a pressure, there are two more errors, of quantities between the default positions of
     :meth:`pcnde_bridge.Cases.pressure_drop`: ``pressure_drop`` over all cases and time points,
     and ``one_minus_ffr``, that of 1 − FFR, over all cases.  They are NaN where the reference
-    is zero.
+    is zero.  With a wall shear stress, in the prediction and in the reference, there is also the
+    error of its ``time_averaged_wall_shear_stress`` over all cases and points.
 
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Predicted flow, area and pressure, or some of them.
+        Predicted variables.
     cases : Cases
         Reference values.
     """
@@ -74,7 +79,7 @@ def error_table(predicted: Mapping[str, Array], cases: Cases) -> pd.DataFrame:
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Predicted flow, area and pressure, or some of them.
+        Predicted variables.
     cases : Cases
         Reference values.
 
@@ -107,15 +112,18 @@ def case_table(measure: Callable[[slice], dict[str, Any]], cases: Cases) -> pd.D
 def _pairs(predicted: Mapping[str, Array], cases: Cases) -> dict[str, tuple[Array, Array]]:
     """Return prediction and reference of everything that has an error."""
     pairs = {}
-    for name, values in predicted.items():
-        truth = getattr(cases, name)
-        _check_shapes(values, truth)
-        pairs[name] = compared(name, values), compared(name, truth)
+    for name, truth in cases.variables().items():
+        if name in predicted:
+            _check_shapes(predicted[name], truth)
+            pairs[name] = compared(name, predicted[name]), compared(name, truth)
     if "pressure" in pairs:
         ends = measuring_positions(cases.z, cases.area_undeformed)
         values, truth = pairs["pressure"]
         for name, quantity in _DERIVED.items():
             pairs[name] = quantity(values, cases.z, *ends), quantity(truth, cases.z, *ends)
+    if "wall_shear_stress" in pairs:
+        values, truth = (np.abs(stress).mean(axis=1) for stress in pairs["wall_shear_stress"])
+        pairs["time_averaged_wall_shear_stress"] = values, truth
     return pairs
 
 
@@ -130,7 +138,7 @@ def pooled(table: pd.DataFrame) -> dict[str, float]:
 
 
 def coverage(intervals: Mapping[str, tuple[Array, Array]], cases: Cases) -> dict[str, float]:
-    """Return the share of the reference values inside their intervals, by variable.
+    """Return the share of the reference values inside their intervals, by their variable.
 
     Parameters
     ----------
@@ -140,6 +148,7 @@ def coverage(intervals: Mapping[str, tuple[Array, Array]], cases: Cases) -> dict
         Reference values.
     """
     return {
-        name: float(((low <= getattr(cases, name)) & (getattr(cases, name) <= high)).mean())
-        for name, (low, high) in intervals.items()
+        name: float(((intervals[name][0] <= truth) & (truth <= intervals[name][1])).mean())
+        for name, truth in cases.variables().items()
+        if name in intervals
     }

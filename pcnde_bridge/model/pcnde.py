@@ -185,9 +185,14 @@ class PCNDE(Predictor):
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters
         solution, samples = kind_of(self.config).predict(*model, inputs, self.uncertainty)
-        axes = inputs.grid.time, inputs.grid.z, inputs.grid.period
-        about = inputs.labels, inputs.novelty
-        return Prediction(*solution, inputs.area_undeformed, *axes, *about, samples)
+        return Prediction(
+            **solution._asdict(),
+            **vars(inputs.grid),
+            area_undeformed=inputs.area_undeformed,
+            labels=inputs.labels,
+            novelty=inputs.novelty,
+            samples=samples,
+        )
 
     def to_archive(self) -> tuple[dict[str, Any], Arrays]:
         """Return the content of the model's file: facts for JSON, and arrays."""

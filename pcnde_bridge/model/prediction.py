@@ -17,7 +17,7 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import VesselQuantities
-from pcnde_bridge.data.variables import UNITS, VARIABLES
+from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io import predictions
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Prediction(VesselQuantities):
-    """Flow, area and pressure over a cycle along the vessel.
+    """Flow, area, pressure and wall shear stress over a cycle along the vessel.
 
     The pressure drop, the fractional flow reserve and other quantities are methods of
     :class:`~pcnde_bridge.data.indices.VesselQuantities`, as for :class:`pcnde_bridge.Cases`.
@@ -53,7 +53,10 @@ class Prediction(VesselQuantities):
     novelty : array of shape (case,) or None
         Distance of the inputs from the training data; 1 is their edge.
     samples : mapping of str to array of shape (sample, case, time, z), or None
-        Samples of flow, area and pressure, if requested.
+        Samples of the variables, if requested.
+    wall_shear_stress : array of shape (case, time, z) or None
+        Wall shear stress, dyn/cm²; None if the model does not predict it, see the preset
+        ``physics``.
     """
 
     flow: Array
@@ -66,13 +69,10 @@ class Prediction(VesselQuantities):
     labels: pd.DataFrame = field(repr=False)
     novelty: Array | None = field(default=None, repr=False)
     samples: Mapping[str, Array] | None = field(default=None, repr=False)
+    wall_shear_stress: Array | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.flow)
-
-    def variables(self) -> dict[str, Array]:
-        """Return the predicted variables by name."""
-        return {name: v for name in VARIABLES if (v := getattr(self, name)) is not None}
 
     def standard_deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable, shape (case, time, z).
@@ -88,7 +88,7 @@ class Prediction(VesselQuantities):
         return {name: values.std(axis=0, ddof=1) for name, values in samples.items()}
 
     def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
-        """Return the lower and upper limit of each variable, each of shape (case, time, z).
+        """Return the lower and upper limit of each sampled variable, (case, time, z).
 
         The limits are the prediction minus and plus the standard deviation times the normal
         quantile, which is calibrated at 90 % on training cases that were left out.
@@ -105,17 +105,14 @@ class Prediction(VesselQuantities):
         """
         factor = _normal_quantile(level)
         width = {name: factor * values for name, values in self.standard_deviation().items()}
-        return {
-            name: (values - width[name], values + width[name])
-            for name, values in self.variables().items()
-        }
+        mean = self.variables()
+        return {name: (mean[name] - width[name], mean[name] + width[name]) for name in width}
 
     def each_sample(self) -> Iterator[Prediction]:
         """Return the samples one by one, each as a prediction without samples.
 
-        The samples are joint: flow, area and pressure of a sample belong together, at all
-        points and time points.  The spread of any quantity is the spread of its values over
-        the samples.
+        The samples are joint: the variables of a sample belong together, at all points and
+        time points.  The spread of any quantity is the spread of its values over the samples.
 
         Raises
         ------
@@ -127,8 +124,10 @@ class Prediction(VesselQuantities):
         >>> [s.pressure_drop() for s in prediction.each_sample()]  # doctest: +SKIP
         """
         samples = self._given_samples()
+        # A variable without samples has no value in a sample.
+        fields: dict[str, Any] = dict.fromkeys(self.variables())
         return (
-            replace(self, **{name: values[i] for name, values in samples.items()}, samples=None)
+            replace(self, **fields | {k: v[i] for k, v in samples.items()}, samples=None)
             for i in range(len(samples["flow"]))
         )
 
@@ -185,8 +184,8 @@ class Prediction(VesselQuantities):
         -------
         DataFrame
             Columns of the labels, then ``time`` (s), ``z`` (cm), ``flow`` (mL/s),
-            ``area`` (cm²), ``pressure`` (dyn/cm², if predicted) and
-            ``area_undeformed`` (cm²); with samples also
+            ``area`` (cm²), ``pressure`` and ``wall_shear_stress`` (dyn/cm², if predicted)
+            and ``area_undeformed`` (cm²); with samples also
             ``flow_standard_deviation`` and so on, in the same units.
         """
         variables = self.variables()
@@ -201,10 +200,10 @@ class Prediction(VesselQuantities):
         Returns
         -------
         xarray.Dataset
-            ``flow``, ``area`` and ``pressure`` with the dimensions (case, time, z),
-            ``area_undeformed`` (case, z), ``novelty`` (case) and, with samples,
-            ``flow_samples`` and so on (sample, case, time, z); the labels are
-            coordinates of ``case``, the units are in the attributes.
+            The predicted variables with the dimensions (case, time, z), ``area_undeformed``
+            (case, z), ``novelty`` (case) and, with samples, ``flow_samples`` and so on
+            (sample, case, time, z); the labels are coordinates of ``case``, the units are
+            in the attributes.
 
         Raises
         ------
@@ -268,9 +267,10 @@ class Prediction(VesselQuantities):
         if "geometry" not in labels:
             # Batches number their cases throughout, so that joined files have unique labels.
             labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
-        arrays = *self.variables().values(), self.area_undeformed, self.time, self.z
+        arrays: dict[str, Any] = self.variables()
+        arrays |= {name: getattr(self, name) for name in ("area_undeformed", "time", "z", "period")}
         # A prediction is checked by its inputs.
-        return Cases(*arrays, period=self.period, labels=labels, check=False)
+        return Cases(**arrays, labels=labels, check=False)
 
 
 def _normal_quantile(level: float) -> float:

@@ -306,8 +306,8 @@ class Predictor(ABC):
         DataFrame
             One row for each case, indexed by geometry and waveform, and a last
             row ``("pooled", "pooled")`` over all cases, as in the paper's table;
-            a column for each predicted variable and, with a pressure, for the
-            ``pressure_drop`` across the stenosis and for 1 − FFR (``one_minus_ffr``), see
+            a column for each predicted variable of the cases and for quantities that
+            follow from them, such as the ``pressure_drop`` across the stenosis, see
             :func:`~pcnde_bridge.model.metrics.pooled_errors`.
 
         Raises

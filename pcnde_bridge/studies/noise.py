@@ -18,7 +18,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.parallel import Workers, each
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.kinds import kind_of
@@ -146,7 +146,7 @@ def noise_study(
     solutions = [found for found, _ in each(predict, tasks, executor, progress=False)]
     values = {
         name: np.concatenate(arrays)
-        for name, arrays in zip(VARIABLES, zip(*solutions, strict=True), strict=True)
+        for name, arrays in zip(FIELDS, zip(*solutions, strict=True), strict=True)
         if arrays[0] is not None
     }
     return NoiseStudy(

@@ -207,3 +207,35 @@ def test_the_paper_split_is_a_partition(cases):
     assert max(w for _, w in case_pairs(split.train)) < cases.labels["waveform"].max()
     named = cases.split({"train": case_pairs(split.train), "test": case_pairs(split.test)})
     assert named == split
+
+
+def test_wall_shear_stress_goes_with_its_cases(sheared_cases, small_cases):
+    stress = sheared_cases.wall_shear_stress
+    assert small_cases.wall_shear_stress is None
+    assert sheared_cases != small_cases
+    assert repr(sheared_cases).endswith("z from 0 to 4 cm; with wall shear stress)")
+    part = sheared_cases.select([7, 2])
+    assert np.array_equal(part.wall_shear_stress, stress[[7, 2]])
+    twin = pickle.loads(pickle.dumps(part))  # noqa: S301
+    assert twin == part
+    assert not twin.wall_shear_stress.flags.writeable
+    train, test = sheared_cases.split("paper")
+    assert len(train.wall_shear_stress) == len(train) == 12 - len(test.wall_shear_stress)
+    frame = sheared_cases.to_frame()
+    assert np.array_equal(frame["wall_shear_stress"], stress.ravel())
+    assert list(frame.columns[-3:]) == ["pressure", "wall_shear_stress", "area_undeformed"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda stress: stress[:, 1:], r"wall_shear_stress must have .*is \(12, 19, 21\)"),
+        (lambda stress: np.where(stress == stress.max(), np.nan, stress), "wall_shear_stress.*nan"),
+        (lambda stress: stress / 10, "All numbers are usual with wall_shear_stress in Pa"),
+        (lambda stress: 0 * stress, "the wall shear stress over Poiseuille's is 0, usual are"),
+    ],
+)
+def test_unusable_wall_shear_stress(sheared_cases, change, message):
+    changed = change(sheared_cases.wall_shear_stress)
+    with pytest.raises(InputError, match=message):
+        Cases(**case_arguments(sheared_cases, wall_shear_stress=changed))

@@ -18,17 +18,20 @@ SUFFIXES = (".npz", ".h5", ".hdf5")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_round_trip(small_cases, tmp_path, suffix):
+@pytest.mark.parametrize("name", ["small_cases", "sheared_cases"])
+def test_round_trip(request, tmp_path, suffix, name):
+    cases = request.getfixturevalue(name)
     path = tmp_path / f"data{suffix}"
     path.write_text("something older")
-    small_cases.save(path)
+    cases.save(path)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     again = Cases.load(str(path))
-    assert again == small_cases
-    pd.testing.assert_frame_equal(again.labels, small_cases.labels)
+    assert again == cases
+    assert again.variables().keys() == cases.variables().keys()
+    pd.testing.assert_frame_equal(again.labels, cases.labels)
 
 
-def test_h5_names_its_units(small_cases, tmp_path):
+def test_h5_names_its_units(small_cases, sheared_cases, tmp_path):
     small_cases.save(tmp_path / "data.h5")
     with h5py.File(tmp_path / "data.h5") as file:
         assert file.attrs["format"] == b"pcnde-cases"
@@ -43,6 +46,10 @@ def test_h5_names_its_units(small_cases, tmp_path):
             "period": "s",
         }
         assert list(file["labels"]) == ["geometry", "waveform", "blockage", "patient"]
+    sheared_cases.save(tmp_path / "data.h5")
+    with h5py.File(tmp_path / "data.h5") as file:
+        attributes = dict(file["wall_shear_stress"].attrs)
+    assert attributes == {"units": b"dyn/cm^2", "axes": b"case, time, z"}
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import case_arguments
 
 from pcnde_bridge import Cases, InputError
+from pcnde_bridge.data.checks import UnitsWarning
 from pcnde_bridge.data.indices import measuring_positions, reynolds_number
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 
@@ -142,3 +144,24 @@ def test_the_papers_cases(published_cases):
     assert table["distal"].to_numpy() == pytest.approx(2.68, abs=0.002)
     assert table["ffr"].min() == pytest.approx(0.972, abs=5e-4)
     assert table["ffr"].max() == pytest.approx(0.999, abs=5e-4)
+
+
+def test_wall_shear_stress_by_hand():
+    rows = [[1.0, 0, 0, 0, 2], [-4, 0, 9, 0, 2], [1, 0, -12, 0, 2], [2, 0, 3, 0, 2]]
+    arrays = {"wall_shear_stress": np.stack([rows, np.abs(rows)])}
+    plain = vessels(1e5 + 0 * Z)
+    with pytest.warns(UnitsWarning, match="the wall shear stress over Poiseuille's is 0"):
+        cases = Cases(**case_arguments(plain, **arrays, check=False))
+    average, (peak, position) = (
+        cases.time_averaged_wall_shear_stress(),
+        cases.peak_wall_shear_stress(units="Pa"),
+    )
+    assert average.tolist() == [[2, 0, 6, 0, 2]] * 2
+    assert (peak.tolist(), position.tolist()) == ([1.2, 1.2], [2, 2])
+    row = cases.indices().iloc[0]
+    assert (row["peak_wss"], row["peak_wss_z"], row["peak_tawss"]) == (12, 2, 6)
+    assert "peak_wss" not in plain.indices()
+    with pytest.raises(InputError, match="only models of the preset 'physics' predict it"):
+        plain.time_averaged_wall_shear_stress()
+    with pytest.raises(InputError, match=r"'mmHg'; use one of \['dyn/cm\^2', 'Pa'\]"):
+        cases.peak_wall_shear_stress("mmHg")

@@ -22,8 +22,11 @@ from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
 from pcnde_bridge.errors import InputError
 
 
-def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=False):
-    """An artery in CGS units whose volume is conserved: pulses that grow along it."""
+def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=False, shear=1.0):
+    """An artery in CGS units whose volume is conserved: pulses that grow along it.
+
+    Its wall shear stress is ``shear`` times Poiseuille's; None: it has none.
+    """
     time, z = np.arange(n_times) / n_times * period, np.linspace(0, slenderness * diameter, 7)
     undeformed = np.full(7, np.pi / 4 * diameter**2)
     angle = 2 * np.pi * np.arange(n_times) / n_times
@@ -34,7 +37,7 @@ def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=Fal
     growth -= growth.mean(axis=0)
     flow = flow - growth * z
     pressures = pressure * (1 + 0.2 * np.cos(angle))[:, None] * np.ones(7)
-    return {
+    fields = {
         "flow": flow[None],
         "area": area[None],
         "pressure": pressures[None],
@@ -42,6 +45,10 @@ def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=Fal
         "time": time,
         "z": z,
     }
+    if shear is None:
+        return fields
+    stress = shear * 4 * 0.04 * flow / (np.pi * (diameter / 2) ** 3)
+    return {**fields, "wall_shear_stress": stress[None]}
 
 
 arteries = st.builds(
@@ -52,6 +59,7 @@ arteries = st.builds(
     st.floats(0.35, 2.0),
     st.floats(5e4, 2e5),
     rigid=st.booleans(),
+    shear=st.none() | st.floats(0.4, 2.5),
 )
 mixes = st.fixed_dictionaries(
     {name: st.sampled_from(list(units)) for name, units in FACTORS.items()}
@@ -89,7 +97,7 @@ def test_every_mix_of_units_is_refused_or_right(fields, units, whole):
         check_units(sizes(fields), (), CONVERT)
     except InputError:
         assume(False)  # not an artery of the table's ranges
-    measured = [name for name in FACTORS if whole or name != "pressure"]
+    measured = [name for name in FACTORS if whole or name in ("flow", "area", "z", "time")]
     given = in_units(fields, {name: units[name] for name in measured})
     try:
         check_units(sizes(given), (), OPTION, unique=True)
@@ -105,7 +113,7 @@ def test_every_mix_of_units_is_refused_or_right(fields, units, whole):
         except InputError:
             return
     for name, values in fields.items():
-        if whole or name not in ("pressure", "area"):
+        if whole or name in ("flow", "area_undeformed", "z", "time"):
             np.testing.assert_allclose(given[name], values, rtol=1e-12)
 
 

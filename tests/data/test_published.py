@@ -8,6 +8,7 @@ import pytest
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.published import read_authors_folder
 from pcnde_bridge.errors import DataNotFoundError, FileError
+from pcnde_bridge.model.metrics import pooled_errors
 
 
 def case_data(seed=0):
@@ -44,6 +45,20 @@ def test_reads_a_folder_in_numerical_order(tmp_path):
     assert np.array_equal(cases.pressure[2], third[1] / third[2])
     assert np.array_equal(cases.area_undeformed[2], third[2, 0])
     assert np.array_equal(cases.area[2], third[3])
+    assert cases.wall_shear_stress is None
+
+
+def test_reads_the_wall_shear_stress(tmp_path):
+    data = case_data()
+    data[4] = np.nan  # the displacement is not used
+    data[5] = 4 * 0.04 * data[0] / np.sqrt(data[2] ** 3 / np.pi)
+    write_case(tmp_path, "case_1_0", data)
+    cases = read_authors_folder(tmp_path)
+    assert np.array_equal(cases.wall_shear_stress[0], data[5])
+    data[5, 3, 5] = np.inf
+    write_case(tmp_path, "case_1_1", data)
+    with pytest.raises(FileError, match=r"value \(5, 3, 5\) is inf"):
+        read_authors_folder(tmp_path)
 
 
 def test_no_folder_and_no_cases(tmp_path):
@@ -124,6 +139,10 @@ def test_the_published_data(published_cases: Cases):
     assert np.linalg.norm(pressure - 109_236.9 * flow) < 2e-3 * np.linalg.norm(pressure)
     from_area = 1 - cases.area_undeformed.min(axis=1) / cases.area_undeformed[:, 0]
     assert np.abs(from_area - cases.labels.blockage).max() < 0.02
+    for part, error in zip(cases.split("paper"), (0.61, 0.65), strict=True):
+        poiseuille = {"wall_shear_stress": part.poiseuille_wall_shear_stress()}
+        found = pooled_errors(poiseuille, part)["wall_shear_stress"]
+        assert found == pytest.approx(error, abs=0.005)
 
 
 @pytest.mark.data

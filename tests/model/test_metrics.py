@@ -133,3 +133,18 @@ def test_without_a_drop_there_is_no_relative_error_of_it(small_cases):
     found = pooled_errors({"pressure": flat.pressure}, flat)
     assert found["pressure"] == 0.0
     assert np.isnan([found["pressure_drop"], found["one_minus_ffr"]]).all()
+
+
+def test_errors_of_the_wall_shear_stress(sheared_cases, small_cases):
+    truth = sheared_cases.wall_shear_stress
+    predicted = {"wall_shear_stress": truth * np.linspace(0.9, 1.3, 20)[:, None]}
+    errors = pooled_errors(predicted, sheared_cases)
+    assert errors["wall_shear_stress"] == pytest.approx(
+        by_hand(predicted["wall_shear_stress"], truth), rel=1e-12
+    )
+    averages = (np.abs(v).mean(axis=1) for v in (predicted["wall_shear_stress"], truth))
+    assert errors["time_averaged_wall_shear_stress"] == pytest.approx(by_hand(*averages))
+    assert list(error_table(predicted, sheared_cases)) == list(errors)
+    # Where only one of them has it, it has no error.
+    assert pooled_errors(predicted, small_cases) == {}
+    assert list(pooled_errors(small_cases.variables(), sheared_cases)) == COLUMNS

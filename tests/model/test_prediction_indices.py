@@ -84,3 +84,20 @@ def test_blockage_is_computed_where_it_is_no_label(prediction):
 def test_level(prediction, level):
     with pytest.raises(InputError, match="level must lie between 0 and 1"):
         prediction.indices(level=level)
+
+
+def test_a_variable_without_samples_has_no_interval(prediction, sheared_cases):
+    prediction = dataclasses.replace(prediction, wall_shear_stress=sheared_cases.wall_shear_stress)
+    assert next(prediction.each_sample()).wall_shear_stress is None
+    assert list(prediction.interval()) == ["flow", "area", "pressure"]
+    table = prediction.indices()
+    assert np.array_equal(table["peak_wss"], sheared_cases.indices()["peak_wss"])
+    assert "peak_tawss_low" not in table
+    scale = np.linspace(0.9, 1.1, 8)[:, None, None, None]
+    stress = {"wall_shear_stress": sheared_cases.wall_shear_stress * scale}
+    prediction = dataclasses.replace(prediction, samples={**prediction.samples, **stress})
+    assert (prediction.indices()["peak_tawss_low"] < table["peak_tawss"]).all()
+    assert prediction.to_cases() == sheared_cases
+    found = prediction.to_xarray()
+    assert found["wall_shear_stress"].attrs["units"] == "dyn/cm^2"
+    assert found["wall_shear_stress_samples"].dims == ("sample", "case", "time", "z")

@@ -58,7 +58,7 @@ class ByHand:
         return Solution(
             *(
                 values + unit * np.multiply.outer(error, np.ones((4, 1)) * along)
-                for values, unit, along in zip(truth(inflow), UNITS, ALONG, strict=True)
+                for values, unit, along in zip(truth(inflow)[:3], UNITS, ALONG, strict=True)
             )
         )
 
@@ -70,7 +70,7 @@ def inflow_of(count):
 @pytest.fixture
 def ten_cases():
     inflow = inflow_of(10)
-    fields = *truth(inflow), np.full((10, 6), 0.1), GRID.time, GRID.z
+    fields = *truth(inflow)[:3], np.full((10, 6), 0.1), GRID.time, GRID.z
     with pytest.warns(UnitsWarning):
         return Cases(*fields, period=1.0, check=False)
 
@@ -167,10 +167,12 @@ def test_errors_of_the_losses_do_not_cancel_in_a_drop():
     """The pressure falls in proportion to Q; the samples' drops vary as the widths say."""
     relative, constant, varying = widths = 0.1, 2.0, 3.0
     inflow, area = inflow_of(2), np.full((2, 6), 0.1)
-    flow, fields, _ = truth(inflow)
+    flow, fields, *_ = truth(inflow)
     below = np.array([5.0, 4.0, 4.0, 1.0, 1.0, 0.0])
     mean = Solution(flow, fields, 1e5 + 100.0 * flow * below)
-    engine = SimpleNamespace(predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean)))
+    engine = SimpleNamespace(
+        predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean[:3]))
+    )
     profile = np.array([[0.0], [0.0], [50.0]]) * np.ones(6)
     uncertainty = Uncertainty(
         np.zeros((1, 1)),

@@ -72,7 +72,8 @@ class JuliaClosures(Closures):
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
         given = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
         # Referenced here, because Julia uses their memory until it returns.
-        arrays = [*result, *(np.ascontiguousarray(a, np.float64) for a in given)]
+        outputs = [field for field in result if field is not None]
+        arrays = [*outputs, *(np.ascontiguousarray(a, np.float64) for a in given)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return result
 
