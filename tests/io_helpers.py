@@ -20,12 +20,14 @@ from pcnde_bridge.model.prediction import Prediction
 
 
 def results_of(cases, case, name="vessel"):
+    stress = cases.wall_shear_stress
     return VesselResults(
         name,
         *(getattr(cases, field)[case] for field in VARIABLES),
         cases.area_undeformed[case],
         cases.time,
         cases.z,
+        wall_shear_stress=None if stress is None else stress[case],
     )
 
 
@@ -44,7 +46,7 @@ def at_times(vessel, time):
         return np.real(np.exp(np.outer(time, phase)) @ weight)
 
     return replaced(
-        vessel, time=np.asarray(time), **{f: series(getattr(vessel, f)) for f in VARIABLES}
+        vessel, time=np.asarray(time), **{f: series(v) for f, v in vessel.variables().items()}
     )
 
 

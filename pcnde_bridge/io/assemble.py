@@ -173,7 +173,11 @@ def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
     """Convert results to CGS from the units that the caller, or else the file, states."""
     factor = factors_to_cgs({**vessel.units, **stated})
     factor["area_undeformed"] = factor["area"]
-    arrays: dict[str, Any] = {name: f * getattr(vessel, name) for name, f in factor.items()}
+    arrays: dict[str, Any] = {
+        name: f * values
+        for name, f in factor.items()
+        if (values := getattr(vessel, name)) is not None
+    }
     period = None if vessel.period is None else vessel.period * factor["time"]
     return dataclasses.replace(vessel, **arrays, period=period)
 
@@ -182,7 +186,11 @@ def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:
     if flip is None:
         return vessel
     # The sign of the flow refers to the direction of z, which may be reversed, too.
-    vessel = dataclasses.replace(vessel, flow=-vessel.flow)
+    flow, stress = vessel.flow, vessel.wall_shear_stress
+    # So does that of a wall shear stress, unless it is a magnitude.
+    if stress is not None and stress.mean() * flow.mean() > 0:
+        stress = -stress
+    vessel = dataclasses.replace(vessel, flow=-flow, wall_shear_stress=stress)
     if flip == "flow":
         return vessel
     backwards = vessel.z[0] + vessel.z[-1] - vessel.z[::-1]

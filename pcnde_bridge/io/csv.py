@@ -14,13 +14,15 @@ from pandas.api.types import is_numeric_dtype
 from pcnde_bridge._utils.files import as_paths
 from pcnde_bridge._utils.validation import counted, listed
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
 from pcnde_bridge.io.tables import numbers, read_labeled
 from pcnde_bridge.io.vessel_results import VesselResults
 
 COLUMNS = ("time", "z", *VARIABLES, "area_undeformed")
+
+_NUMBERS = ["time", "z", *FIELDS, "area_undeformed"]
 
 _KEYS = ["geometry", "waveform"]
 _FEWEST = 12  # rows of a case: four time points, three points
@@ -33,10 +35,10 @@ def read_csv(paths: Paths, **options: Unpack[CaseOptions]) -> Cases:
     ----------
     paths : path-like or sequence of path-like
         CSV files (also ``.csv.gz``) with the columns ``time``, ``z``, ``flow``, ``area``,
-        ``pressure`` and ``area_undeformed``.  Columns whose names end in ``_deviation``,
-        and those without a name, are ignored; all others are labels, and rows of equal
-        labels are one case.  A label is a number if all its values are numbers; else it is
-        text as written, such as ``007``.
+        ``pressure`` and ``area_undeformed``, optionally ``wall_shear_stress``.  Columns
+        whose names end in ``_deviation``, and those without a name, are ignored; all others
+        are labels, and rows of equal labels are one case.  A label is a number if all its
+        values are numbers; else it is text as written, such as ``007``.
     **options
         ``period``, ``units``, ``flip``, ``time_points``, ``points`` and ``labels``, see
         :func:`pcnde_bridge.io.to_cases`.
@@ -56,7 +58,7 @@ def read_csv(paths: Paths, **options: Unpack[CaseOptions]) -> Cases:
         If columns or rows are missing, or units, flow or time steps are ambiguous.
     """
     chosen = as_paths(paths)
-    frames = read_labeled(chosen, (*COLUMNS, *_KEYS, "blockage"), usecols=_is_used)
+    frames = read_labeled(chosen, (*_NUMBERS, *_KEYS, "blockage"), usecols=_is_used)
     keyed = options.get("labels") is None
     found = [_vessels(path, frame, keyed) for path, frame in zip(chosen, frames, strict=True)]
     return to_cases([vessel for vessels in found for vessel in vessels], **options)
@@ -72,9 +74,9 @@ def _vessels(path: Path, frame: pd.DataFrame, keyed: bool) -> list[VesselResults
         raise InputError(f"{path} lacks the columns {absent}; it has {list(frame.columns)}.")
     if frame.empty:
         raise InputError(f"{path} has no rows.")
-    for name in COLUMNS:
+    for name in frame.columns.intersection(_NUMBERS):
         frame[name] = numbers(path, frame[name])
-    labels = [str(name) for name in frame.columns if name not in COLUMNS]
+    labels = [str(name) for name in frame.columns if name not in _NUMBERS]
     if not labels:
         return [_vessel(path, frame, {})]
     # Numbers may be unknown, such as a blockage, but not the labels that identify a case.
@@ -121,7 +123,8 @@ def _vessel(path: Path, rows: pd.DataFrame, labels: Mapping[str, Any]) -> Vessel
             "columns that identify them, such as geometry and waveform."
         )
     fields: dict[str, Any] = {
-        name: table[name].to_numpy().reshape(time.size, z.size) for name in COLUMNS[2:]
+        name: table[name].to_numpy().reshape(time.size, z.size)
+        for name in table.columns.intersection(_NUMBERS)
     }
     undeformed = fields.pop("area_undeformed")
     if np.ptp(undeformed, axis=0).max() > 1e-9 * np.abs(undeformed[0]).max():

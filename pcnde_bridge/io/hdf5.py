@@ -1,4 +1,4 @@
-"""HDF5 files of other programs with arrays of flow, area and pressure."""
+"""HDF5 files of other programs with arrays of flow, area, pressure and wall shear stress."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
 from pcnde_bridge.data.units import FACTORS, stated_units
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS, UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
 from pcnde_bridge.io.vessel_results import VesselResults
 
 _AXES = {
-    **dict.fromkeys(VARIABLES, ("case", "time", "z")),
+    **dict.fromkeys(FIELDS, ("case", "time", "z")),
     "area_undeformed": ("case", "z"),
     "time": ("time",),
     "z": ("z",),
     "period": (),
 }
-NAMES = tuple(name for name in _AXES if name != "period")
+_REQUIRED = tuple(name for name in UNITS if name != "wall_shear_stress")
 
 
 def read_hdf5(
@@ -42,8 +42,8 @@ def read_hdf5(
     paths : path-like or sequence of path-like
         Files with the arrays ``flow``, ``area`` and ``pressure`` of shape (time, z) or
         (case, time, z), ``area_undeformed`` of shape (z,) or (case, z), ``time`` and
-        ``z``; optionally ``period`` and ``labels/…``.  The attribute ``units`` of an array
-        is used where the option ``units`` does not state a unit.
+        ``z``; optionally ``wall_shear_stress``, ``period`` and ``labels/…``.  The attribute
+        ``units`` of an array is used where the option ``units`` does not state a unit.
     names : mapping, optional
         Paths of arrays with other names: ``{"flow": "/results/Q"}``.
     **options
@@ -66,9 +66,9 @@ def read_hdf5(
     """
     places = dict(names or {})
     for name, place in places.items():
-        if name not in NAMES or not isinstance(place, str):
+        if name not in UNITS or not isinstance(place, str):
             raise InputError(
-                f"names has {name!r}: {place!r}; it can name the paths of {', '.join(NAMES)}."
+                f"names has {name!r}: {place!r}; it can name the paths of {', '.join(UNITS)}."
             )
     stated = set(stated_units(options.get("units")))
     chosen, vessels, ours = as_paths(paths), [], []
@@ -140,7 +140,7 @@ def _vessels(
     path: Path, arrays: Mapping[str, npt.NDArray[Any]], units: Mapping[str, str]
 ) -> list[VesselResults]:
     """Return the results of each case from the arrays of a file."""
-    if absent := [name for name in NAMES if name not in arrays]:
+    if absent := [name for name in _REQUIRED if name not in arrays]:
         raise InputError(
             f"it lacks the data sets {absent}; name them, names= (--names {absent[0]}=path)."
         )
@@ -164,7 +164,7 @@ def _vessels(
     return [
         VesselResults(
             f"{path}, case {i}" if count > 1 else str(path),
-            **{name: fields[name][i] for name in (*VARIABLES, "area_undeformed")},
+            **{name: fields[name][i] for name in (*FIELDS, "area_undeformed") if name in fields},
             time=fields["time"],
             z=fields["z"],
             labels={name: column[i] for name, column in labels.items()},

@@ -209,13 +209,19 @@ def match_length(vessel: VesselResults, first: VesselResults) -> VesselResults:
 
 
 def check_same_grid(first: VesselResults, other: VesselResults) -> None:
-    """Raise unless two vessels have the same time points, points and thus period.
+    """Raise unless two vessels have the same variables, time points, points and thus period.
 
     Raises
     ------
     InputError
-        If they differ; the message names the option that resamples.
+        If they differ; the message says what to do.
     """
+    if (first.wall_shear_stress is None) != (other.wall_shear_stress is None):
+        here, absent = (first, other) if other.wall_shear_stress is None else (other, first)
+        raise InputError(
+            f"{here.name} has a wall shear stress, but {absent.name} has none: make separate data "
+            "sets of files with and without it."
+        )
     for name, option in (("time", "time_points"), ("z", "points")):
         mine, theirs = getattr(first, name), getattr(other, name)
         if mine.shape != theirs.shape or not np.allclose(mine, theirs, 0, _SAME * np.ptp(mine)):

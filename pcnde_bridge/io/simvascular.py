@@ -2,7 +2,8 @@
 
 svSlicer and SimVascular's own tools average 3D results over the cross-sections and write
 them onto the centerline as point arrays ``pressure_00500`` and ``velocity_00500`` (which
-holds the flow) or ``flow_00500``, named by the number of the time step.  SimVascular's
+holds the flow) or ``flow_00500``, named by the number of the time step.  A wall shear stress
+is ``wss_00500`` or, as in the 3D results, ``vWSS_00500``, whose magnitude is used.  SimVascular's
 reduced-order simulations write ``pressure_0.5``, ``flow_0.5`` and ``area_0.5``, named by
 the time in s.  ``Path`` is the distance along each branch, ``BranchId`` the branch (-1
 within a junction), ``CenterlineSectionArea`` the area of the cross-section of the mesh.
@@ -30,7 +31,9 @@ from pcnde_bridge.io.vessel_results import VesselResults
 from pcnde_bridge.io.vtp import Lines, read_lines
 
 _STEP = re.compile(
-    r"(pressure|velocity|flow|area)_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)", re.IGNORECASE
+    r"(pressure|velocity|flow|area|wall_shear_stress|v?wss)_"
+    r"(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)",
+    re.IGNORECASE,
 )
 _UNDEFORMED = ("area_undeformed", "CenterlineSectionArea", "area")
 
@@ -91,6 +94,9 @@ def _read_vessel(
     centerline = read_lines(path)
     points, arrays = _from_inlet_on(centerline, branch)
     names = _names_by_step(arrays)
+    for name in names.get("wall_shear_stress", {}).values():
+        if arrays[name].ndim == 2:
+            arrays[name] = np.linalg.norm(arrays[name], axis=1)
     undeformed = next((name for name in _UNDEFORMED if name in arrays), None)
     if undeformed is None:
         raise InputError("it has no undeformed area: CenterlineSectionArea or area_undeformed.")
@@ -151,7 +157,8 @@ def _names_by_step(arrays: Mapping[str, Array]) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {"pressure": {}, "velocity": {}}
     for name in arrays:
         if match := _STEP.fullmatch(name):
-            found.setdefault(match[1].lower(), {})[match[2]] = name
+            variable = re.sub("v?wss", "wall_shear_stress", match[1].lower())
+            found.setdefault(variable, {})[match[2]] = name
     found.setdefault("flow", found.pop("velocity"))
     steps = set[str]().union(*found.values())
     for name, named in found.items():

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,14 @@ class VesselResults:
     labels : mapping
         Labels of the case in the file.
     units : mapping of str to str
-        Units stated in the file, by ``flow``, ``area``, ``pressure``, ``z`` and ``time``.
+        Units stated in the file, by ``flow``, ``area``, ``pressure``, ``wall_shear_stress``,
+        ``z`` and ``time``.
     period : float or None
         Length of the cycle, if the file states it.
     predicted : bool
         Whether a model of this package predicted them: its flow may change along the vessel.
+    wall_shear_stress : array of shape (time, z), optional
+        Average around the circumference.
     """
 
     name: str
@@ -46,10 +49,11 @@ class VesselResults:
     units: Mapping[str, str] = field(default_factory=dict)
     period: float | None = None
     predicted: bool = False
+    wall_shear_stress: Array | None = None
 
     def variables(self) -> dict[str, Array]:
-        """Return flow, area and pressure by name."""
-        return {name: getattr(self, name) for name in VARIABLES}
+        """Return flow, area, pressure and wall shear stress by name, if there are such."""
+        return {name: v for name in FIELDS if (v := getattr(self, name)) is not None}
 
     def as_case(self) -> dict[str, Array]:
         """Return the arrays as those of a data set of one case, by name."""
@@ -58,7 +62,7 @@ class VesselResults:
         return {**cases, "time": self.time, "z": self.z}
 
     def change(self, function: Callable[[Array], Array], **others: Any) -> VesselResults:
-        """Return a copy with one function applied to flow, area and pressure.
+        """Return a copy with one function applied to each variable.
 
         Parameters
         ----------

@@ -15,6 +15,12 @@ def vessel(small_cases) -> VesselResults:
     return results_of(small_cases, 6)
 
 
+@pytest.fixture(scope="session")
+def sheared_vessel(sheared_cases) -> VesselResults:
+    """The same vessel with a wall shear stress."""
+    return results_of(sheared_cases, 6)
+
+
 @pytest.fixture
 def prediction(small_cases) -> Prediction:
     chosen = small_cases.select([0, 6, 11])

@@ -66,3 +66,18 @@ def test_bad_options(vessel, options, message):
 def test_nothing_to_read():
     with pytest.raises(InputError, match="name at least one file"):
         to_cases([])
+
+
+def test_wall_shear_stress_follows_flow_and_grid(sheared_vessel, vessel):
+    stress = sheared_vessel.wall_shear_stress
+    coarse = to_cases([sheared_vessel], time_points=10, points=vessel.z[::2])
+    np.testing.assert_allclose(coarse.wall_shear_stress[0], stress[::2, ::2], rtol=1e-3)
+    # A component changes its sign with the flow, a magnitude does not.
+    for given in (-stress, stress):
+        other = replaced(sheared_vessel, flow=-vessel.flow, wall_shear_stress=given)
+        assert to_cases([other], flip="flow") == to_cases([sheared_vessel])
+    back = replaced(other, **{n: v[:, ::-1] for n, v in other.variables().items()})
+    turned = to_cases([back], flip="z").wall_shear_stress
+    assert np.array_equal(turned, to_cases([sheared_vessel]).wall_shear_stress)
+    with pytest.raises(InputError, match="vessel has a wall shear stress, but plain has none"):
+        to_cases([replaced(vessel, name="plain"), sheared_vessel])

@@ -202,3 +202,16 @@ def test_blank_lines_count(prediction, tmp_path, name):
         file.handle.write(whole)
     with pytest.raises(InputError, match="line 5, column flow: not a number"):
         read_csv(tmp_path / name)
+
+
+def test_a_column_of_wall_shear_stress(sheared_vessel, tmp_path):
+    expected = to_cases([sheared_vessel])
+    expected.to_frame().to_csv(tmp_path / "a.csv", index=False)
+    assert read_csv(tmp_path / "a.csv") == expected
+    frame = expected.to_frame()
+    frame["wall_shear_stress"] /= 10
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(InputError, match=r"\(--units wall_shear_stress=Pa\), or"):
+        read_csv(tmp_path / "a.csv")
+    found = read_csv(tmp_path / "a.csv", units={"wall_shear_stress": "Pa"})
+    np.testing.assert_allclose(found.wall_shear_stress, expected.wall_shear_stress, rtol=1e-14)

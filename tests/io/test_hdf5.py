@@ -94,3 +94,17 @@ def test_names_are_paths(file):
     path = file("flow", "mL/s")
     with pytest.raises(InputError, match="names has 'flow': 3; it can name the paths"):
         read_hdf5(path, names={"flow": 3})
+
+
+def test_wall_shear_stress_has_a_name_and_a_unit(sheared_vessel, tmp_path):
+    expected = to_cases([sheared_vessel])
+    expected.save(tmp_path / "a.h5")
+    assert read_hdf5(tmp_path / "a.h5") == expected
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        del file.attrs["format"]
+        file["tau"] = file["wall_shear_stress"][0] / 10
+        file["tau"].attrs["units"] = "Pa"
+        del file["wall_shear_stress"]
+    assert read_hdf5(tmp_path / "a.h5").wall_shear_stress is None
+    found = read_hdf5(tmp_path / "a.h5", names={"wall_shear_stress": "tau"})
+    np.testing.assert_allclose(found.wall_shear_stress, expected.wall_shear_stress, rtol=1e-14)

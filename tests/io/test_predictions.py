@@ -8,6 +8,7 @@ from io_helpers import replaced
 
 from pcnde_bridge import Cases, FileError, InputError, PCNDEError
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.io import load_cases, read_csv, read_simvascular
 
 
 def test_to_xarray(prediction):
@@ -55,3 +56,18 @@ def test_a_missing_package_is_named_with_its_extra(
     with pytest.raises(PCNDEError, match=rf'pip install "pcnde-bridge\[{extra}\]"') as caught:
         use(prediction, tmp_path)
     assert isinstance(caught.value, ImportError)
+
+
+@pytest.mark.parametrize("ending", ["csv", "npz", "h5", "vtp"])
+def test_wall_shear_stress_comes_back_from_every_format(
+    prediction, sheared_cases, tmp_path, ending
+):
+    stress = sheared_cases.wall_shear_stress[[6]]
+    one = {name: values[[1]] for name, values in prediction.variables().items()}
+    undeformed, labels = prediction.area_undeformed[[1]], prediction.labels.iloc[[1]]
+    prediction = replaced(
+        prediction, **one, area_undeformed=undeformed, labels=labels, wall_shear_stress=stress
+    )
+    prediction.save(path := tmp_path / f"p.{ending}")
+    read = {"csv": read_csv, "vtp": read_simvascular}.get(ending, load_cases)
+    np.testing.assert_allclose(read(path).wall_shear_stress, stress, rtol=1e-14)

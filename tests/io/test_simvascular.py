@@ -132,3 +132,16 @@ def test_a_time_step_is_a_positive_number(vessel, tmp_path, step):
     with pytest.raises(InputError, match="time_step must be"):
         read_simvascular(path, time_step=step)
     assert read_simvascular(path, time_step=np.float32(0.05)).n_times == 20
+
+
+@pytest.mark.parametrize("name", ["wss_{}", "WSS_{}", "wall_shear_stress_{}", "vWSS_{}"])
+def test_wall_shear_stress_of_a_centerline(sheared_vessel, tmp_path, name):
+    stress = sheared_vessel.wall_shear_stress
+    values = stress[..., None] * [0.6, 0.0, -0.8] if name.startswith("v") else stress
+    extra = {name.format(t): row for t, row in zip(sheared_vessel.time, values, strict=True)}
+    found = read_simvascular(centerline(tmp_path / "a.vtp", sheared_vessel, extra=extra))
+    np.testing.assert_allclose(found.wall_shear_stress[0], stress, rtol=1e-14)
+    extra.popitem()
+    path = centerline(tmp_path / "a.vtp", sheared_vessel, extra=extra)
+    with pytest.raises(InputError, match=r"no wall_shear_stress_0\.95 .*19 of 20 time steps"):
+        read_simvascular(path)

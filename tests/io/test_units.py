@@ -8,8 +8,13 @@ from io_helpers import replaced
 
 from pcnde_bridge import InputError, UnitsWarning
 from pcnde_bridge.data.units import FACTORS
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.io import to_cases
+
+
+@pytest.fixture
+def vessel(sheared_vessel):
+    return sheared_vessel
 
 
 @pytest.mark.parametrize(
@@ -21,11 +26,13 @@ from pcnde_bridge.io import to_cases
         ({"time": "ms"}, {"time": 1e3}),
         (
             "mm-g-s",
-            {"flow": 1e3, "area": 100, "area_undeformed": 100, "pressure": 0.1, "z": 10},
+            {"flow": 1e3, "area": 100, "area_undeformed": 100, "pressure": 0.1, "z": 10}
+            | {"wall_shear_stress": 0.1},
         ),
         (
             "si",
-            {"flow": 1e-6, "area": 1e-4, "area_undeformed": 1e-4, "pressure": 0.1, "z": 0.01},
+            {"flow": 1e-6, "area": 1e-4, "area_undeformed": 1e-4, "pressure": 0.1, "z": 0.01}
+            | {"wall_shear_stress": 0.1},
         ),
     ],
 )
@@ -38,7 +45,7 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
         assert f"--units {stated})" in str(caught.value)
     found = to_cases([other], units=units)
     expected = to_cases([vessel])
-    for name in (*VARIABLES, "area_undeformed", "time", "z"):
+    for name in (*FIELDS, "area_undeformed", "time", "z"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12)
 
 
@@ -56,6 +63,8 @@ IN_CGS = {
     ("pressure", "Pa"): 10,
     ("pressure", "kPa"): 10_000,
     ("pressure", "mmHg"): 1333.22,
+    ("wall_shear_stress", "dyn/cm^2"): 1,
+    ("wall_shear_stress", "Pa"): 10,
     ("z", "cm"): 1,
     ("z", "mm"): 0.1,
     ("z", "m"): 100,
@@ -74,12 +83,12 @@ def test_every_unit(vessel, name, unit):
     of_it = (name, "area_undeformed") if name == "area" else (name,)
     other = {array: getattr(vessel, array) / IN_CGS[name, unit] for array in of_it}
     found, expected = to_cases([replaced(vessel, **other)], units={name: unit}), to_cases([vessel])
-    for array in (*VARIABLES, "area_undeformed", "time", "z"):
+    for array in (*FIELDS, "area_undeformed", "time", "z"):
         np.testing.assert_allclose(getattr(found, array), getattr(expected, array), rtol=1e-12)
     assert found.period == pytest.approx(expected.period, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", [*VARIABLES, "z"])
+@pytest.mark.parametrize("name", [*FIELDS, "z"])
 def test_what_is_off_by_a_thousand_is_refused(vessel, name):
     for factor in (1e3, 1e-3):
         with pytest.raises(InputError, match="does not look like CGS units"):
@@ -92,7 +101,7 @@ def test_units_that_do_not_go_together_are_refused(vessel):
     with pytest.raises(InputError, match=r"length over the diameter is 10.*units=\{'z': 'mm'\}"):
         to_cases([long])
     assert to_cases([long], units={"z": "mm"}).z[-1] == pytest.approx(4.0)
-    small = replaced(vessel, flow=vessel.flow / 60)
+    small = replaced(vessel, flow=vessel.flow / 60, wall_shear_stress=None)
     with pytest.raises(InputError, match=r"flow over area is .*--units flow="):
         to_cases([small])
     with pytest.raises(InputError, match=r"area over the undeformed area is 0\.0105"):
