@@ -46,7 +46,7 @@ NEXT_STEPS = """Took {seconds:.0f} s. In {folder}:
 To predict with your own waveform and vessel in these two files:
   pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv --out mine.csv
 To compare the model with simpler methods:
-  pcnde bench {folder}/cases.npz --model {folder}/model.npz
+  pcnde bench {folder}/cases.npz --split {folder}/split.json --model {folder}/model.npz
 To train on the paper's 3D simulations, as in the paper:
   pcnde fit published --out model.npz"""  # noqa: E501
 

@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from pandas.api.types import is_numeric_dtype
 
 from pcnde_bridge._utils.files import check_writable, reading
+from pcnde_bridge._utils.validation import counted
+from pcnde_bridge.cli.console import note
 from pcnde_bridge.config import PRESETS, Config, resolve_config
-from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.cases import Cases, Split
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.io.datasets import DATASETS
 
 
 def option(default: Any, help: str, *names: str, **settings: Any) -> Any:
@@ -30,9 +34,10 @@ DATA = typer.Argument(
 )
 MODEL = typer.Argument(metavar="MODEL", help="File of a fitted model.")
 SPLIT = option(
-    "paper",
-    "'paper', 'none' (all cases are training cases), or a JSON file "
-    '{"train": [[G, W], ...], "test": [...]}.',
+    None,
+    "Test cases: 'paper'; 'none'; a fraction of the cases, at random (0.2); values of a label "
+    '(geometry=9,10); or a JSON file {"train": [[G, W], ...], "test": [...]}. By default, '
+    "'paper' for published and synthetic, else 'none'.",
 )
 PRESET = option("paper", f"Preset: {', '.join(PRESETS)}.")
 CONFIG = option(None, "JSON file of settings that differ from the preset.", "--config")
@@ -55,9 +60,38 @@ def settings_of(preset: str, path: Path | None) -> Config:
     return settings.replace(**changes)
 
 
-def split_of(cases: Cases, split: str) -> dict[str, Cases]:
-    """Return the sets of ``--split``: train, and test unless the split is ``none``."""
-    return {"train": cases} if split == "none" else cases.split(split)._asdict()
+def split_name(data: str, split: str | None) -> str:
+    """Return ``--split``: by default, only data sets with a split of their own are divided."""
+    return split or ("paper" if data in DATASETS else "none")
+
+
+def split_of(cases: Cases, data: str, split: str | None, whole: str = "train") -> dict[str, Cases]:
+    """Return the sets of ``--split``: train and test, or ``whole`` without a split."""
+    if (split := split_name(data, split)) == "none":
+        use = "training cases" if whole == "train" else "evaluated"
+        note(f"All {counted(len(cases), 'case')} are {use}: --split holds out test cases.")
+        return {whole: cases}
+    sets = _divided(cases, split)._asdict()
+    train = counted(len(sets["train"]), "training case")
+    note(f"The split {split} has {train} and {counted(len(sets['test']), 'test case')}.")
+    return sets
+
+
+def _divided(cases: Cases, split: str) -> Split:
+    """Divide the cases by a fraction, by ``label=value,…``, or as :meth:`Cases.split` does."""
+    name, equals, text = split.partition("=")
+    if equals and name in cases.labels:
+        convert = _number if is_numeric_dtype(cases.labels[name]) else str
+        wanted: dict[str, Any] = {name: [convert(value) for value in text.split(",")]}
+        return cases.split(**wanted)
+    return cases.split(_number(split))
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def check_outputs(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:

@@ -49,7 +49,7 @@ def info(
 def evaluate(
     model: Path = options.MODEL,
     data: str = options.DATA,
-    split: str = options.SPLIT,
+    split: str | None = options.SPLIT,
     engine: EngineName = options.ENGINE,
     json_file: Path | None = options.JSON,
     csv: Path | None = option(None, "Also write the errors of every case."),
@@ -57,7 +57,7 @@ def evaluate(
     """Print relative errors of a model on a data set."""
     check_outputs(json_file, csv, inputs=[model, Path(data)])
     fitted = load_model(model, engine)
-    sets = split_of(load_cases(data), split)
+    sets = split_of(load_cases(data), data, split, whole="all")
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     errors = {name: pooled(table) for name, table in tables.items()}
     if json_file is not None:
@@ -161,7 +161,7 @@ def figures(
     out: Path = option(..., "Folder for PNG, PDF and CSV files."),
     only: list[str] = option([], "Figure to draw, repeatable. An unknown name prints all names."),
     studies: bool = option(False, "Include figures that train models (minutes).", "--studies"),
-    split: str = options.SPLIT,
+    split: str | None = options.SPLIT,
     engine: EngineName = options.ENGINE,
     workers: int = options.WORKERS,
 ) -> None:
@@ -173,7 +173,7 @@ def figures(
 
     choose(only)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
-    sets = split_of(cases, split)
+    sets = split_of(cases, data, split)
     truth_label = {"synthetic": "1D solver", "published": "3D, averaged"}.get(data, "truth")
     figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"), truth_label)
     if data == "synthetic":

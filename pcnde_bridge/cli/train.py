@@ -13,7 +13,7 @@ from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, resumable, say, show_errors
-from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_of
+from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_name, split_of
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
@@ -36,7 +36,7 @@ _CHECKPOINT = option(
 def fit(
     data: str = options.DATA,
     out: Path = option(..., "File for the fitted model."),
-    split: str = options.SPLIT,
+    split: str | None = options.SPLIT,
     preset: str = options.PRESET,
     config: Path | None = options.CONFIG,
     engine: EngineName = options.ENGINE,
@@ -52,7 +52,7 @@ def fit(
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
         raise InputError("--workers needs --members: a single fit runs in one process.")
-    sets = split_of(load_cases(data), split)
+    sets = split_of(load_cases(data), data, split)
     run = sets["train"], settings, engine, seed
     model: PCNDE | Ensemble
     if members == 1:
@@ -76,7 +76,7 @@ def fit(
 
 def cross_validate(
     data: str = options.DATA,
-    split: str = options.SPLIT,
+    split: str | None = options.SPLIT,
     preset: str = options.PRESET,
     config: Path | None = options.CONFIG,
     engine: EngineName = options.ENGINE,
@@ -91,7 +91,7 @@ def cross_validate(
     """
     settings = settings_of(preset, config)
     check_outputs(csv, inputs=[Path(data)])
-    train = split_of(load_cases(data), split)["train"]
+    train = split_of(load_cases(data), data, split)["train"]
     with resumable(f"The finished fits are in {folder}") if folder else nullcontext():
         table = cross_validation.cross_validate(
             train, settings, engine, seed, executor=processes(workers), folder=folder
@@ -111,7 +111,7 @@ def cross_validate(
 
 def bench(
     data: str = options.DATA,
-    split: str = options.SPLIT,
+    split: str | None = options.SPLIT,
     model: Path | None = option(None, "Fitted model; without it, one is trained."),
     preset: str = options.PRESET,
     config: Path | None = options.CONFIG,
@@ -130,7 +130,7 @@ def bench(
     settings = settings_of(preset, config)
     check_outputs(json_file, checkpoint, inputs=[Path(data)])
     fitted = None if model is None else PCNDE.load(model, engine)
-    sets = split_of(load_cases(data), split)
+    sets = split_of(load_cases(data), data, split)
     if fitted is None:
         run = sets["train"], settings, engine, seed
         with _training_state(checkpoint, Path(benchmark.checkpoint_name(*run))) as state:
@@ -141,7 +141,7 @@ def bench(
     if json_file is not None:
         facts = {
             "data": data,
-            "split": split,
+            "split": split_name(data, split),
             "model": None if model is None else str(model),
             "config": fitted.config.to_dict(),
             "cases": {name: len(cases) for name, cases in sets.items()},

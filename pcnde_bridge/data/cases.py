@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,8 @@ from pcnde_bridge.data.files import read_cases, write_cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.labels import check_labels
-from pcnde_bridge.data.selection import Positions, select_positions, split_positions
+from pcnde_bridge.data.selection import Positions, select_positions
+from pcnde_bridge.data.splits import fold_positions, split_positions
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import FileError
 
@@ -246,18 +247,43 @@ class Cases(VesselQuantities):
         taken.__setstate__(state)
         return taken
 
-    def split(self, how: StrPath | Mapping[str, Sequence[Sequence[int]]] = "paper") -> Split:
+    def __getitem__(self, index: Any) -> Cases:
+        """Return ``select(index)``: ``cases[0]``, ``cases[2:5]``, ``cases[[3, 1]]``, a mask."""
+        return self.select(index)
+
+    def __iter__(self) -> Iterator[Cases]:
+        """Iterate over the cases, each a data set of one case."""
+        return map(self.select, range(self.n_cases))
+
+    def split(
+        self,
+        how: float | StrPath | Mapping[str, Sequence[Sequence[int]]] | None = None,
+        /,
+        *,
+        by: str | None = None,
+        seed: int = 0,
+        **labels: Any,
+    ) -> Split:
         """Divide the data set into training and test cases.
 
         Parameters
         ----------
-        how : "paper", mapping or path of a JSON file
-            ``"paper"`` tests on the largest geometry label with every waveform and on the
-            largest waveform label with every geometry, and trains on the rest, both in the
-            order of their labels; for the published data this is the paper's split into 81
-            and 19 cases.  A mapping, or a JSON file with one, names the cases in the
-            order wanted: ``{"train": [[geometry, waveform], …], "test": […]}``.  Cases
-            that it does not name are left out.
+        how : "paper", float, mapping or path of a JSON file, optional
+            ``"paper"``, the default, tests on the largest geometry label with every
+            waveform and on the largest waveform label with every geometry, and trains on
+            the rest, both in the order of their labels; for the published data this is the
+            paper's split into 81 and 19 cases.  A number between 0 and 1 is the fraction of
+            the cases to test on, chosen at random.  A mapping, or a JSON file with one,
+            names the cases in the order wanted: ``{"train": [[geometry, waveform], …],
+            "test": […]}``.  Cases that it does not name are left out.
+        by : str, optional
+            Name of a label, such as ``"geometry"``: the fraction is one of its values, and
+            cases with the same value stay together.
+        seed : int
+            Seed of the random choice.
+        **labels
+            Values of label columns, instead of ``how``, as in :meth:`select`:
+            ``split(geometry=[9, 10])`` tests on these cases and trains on the rest.
 
         Returns
         -------
@@ -267,12 +293,39 @@ class Cases(VesselQuantities):
         Raises
         ------
         InputError
-            If training or test would be empty, or the mapping is not usable.
+            If training or test would be empty, or an argument is not usable.
         FileError
             If the file is missing or is not JSON.
         """
-        parts = split_positions(self._labels, how)
-        return Split(**{name: self._take(positions) for name, positions in parts.items()})
+        return self._split(split_positions(self._labels, how, by, seed, labels))
+
+    def folds(self, count: int, /, *, by: str | None = None, seed: int = 0) -> list[Split]:
+        """Divide the data set at random into folds for cross-validation.
+
+        Parameters
+        ----------
+        count : int
+            Number of folds, at least 2.
+        by : str, optional
+            Name of a label, such as ``"geometry"``: cases with the same value stay together.
+        seed : int
+            Seed of the random choice.
+
+        Returns
+        -------
+        list of Split
+            One for each fold: its cases are the test cases, all others train.  Every case
+            is a test case once.
+
+        Raises
+        ------
+        InputError
+            If there are fewer cases, or values of the label, than folds.
+        """
+        return [self._split(parts) for parts in fold_positions(self._labels, count, by, seed)]
+
+    def _split(self, parts: Mapping[str, Positions]) -> Split:
+        return Split(self._take(parts["train"]), self._take(parts["test"]))
 
     # ---- files ---------------------------------------------------------
 

@@ -20,7 +20,7 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_grid
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.engines.protocol import Engine, Stage

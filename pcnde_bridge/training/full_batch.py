@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.training.area_fit import fit_area_stage
 from pcnde_bridge.training.flow_fit import fit_flow
 from pcnde_bridge.training.history import RunFit

@@ -10,7 +10,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.training.history import RunFit
 from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState

@@ -13,7 +13,7 @@ import numpy as np
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines.parameters import STAGES, Parameters, initial_parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages, solve_area, undeformed

@@ -33,7 +33,7 @@ from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, pressure_drop
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures

@@ -168,8 +168,9 @@ def _finished(checkpoint):
 
 def test_fit(folder, fit_options, tmp_path, run, small_model, small_cases, small_split):
     out = tmp_path / "model.pcnde"
-    code, printed, _ = run("fit", folder / "cases.npz", *fit_options, "--out", out)
+    code, printed, err = run("fit", folder / "cases.npz", *fit_options, "--out", out)
     assert code == 0
+    assert "split.json has 11 training cases and 1 test case." in err
     loaded = PCNDE.load(out, engine="jax")
     assert loaded.parameters == small_model.parameters
     assert loaded.provenance["cases"] == 11
@@ -283,13 +284,15 @@ def test_evaluate(folder, tmp_path, run, small_model, small_cases, small_split):
 
 def test_evaluate_without_a_split(folder, tmp_path, run, small_model, small_cases):
     as_json = tmp_path / "e.json"
-    code, _, _ = run(
-        "evaluate", folder / "model.pcnde", folder / "cases.npz", "--split", "none",
-        "--json", as_json, "--engine", "jax",
-    )  # fmt: skip
-    assert code == 0
     expected = small_model.evaluate(small_cases).iloc[-1].to_dict()
-    assert json.loads(as_json.read_text()) == {"train": expected}
+    options = ("--json", as_json, "--engine", "jax")
+    for split in ((), ("--split", "none")):
+        code, _, err = run(
+            "evaluate", folder / "model.pcnde", folder / "cases.npz", *split, *options
+        )
+        assert code == 0
+        assert "All 12 cases are evaluated" in err
+        assert json.loads(as_json.read_text()) == {"all": expected}
 
 
 def test_evaluate_refuses(folder, tmp_path, run, small_cases):

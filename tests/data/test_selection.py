@@ -1,8 +1,6 @@
-"""Selections of cases and named splits."""
+"""Selections of cases."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pandas as pd
@@ -11,8 +9,8 @@ from helpers import case_arguments, case_pairs, with_labels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcnde_bridge.data.cases import Cases, Split
-from pcnde_bridge.errors import DataNotFoundError, FileError, InputError
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.errors import InputError
 
 
 def labelled(cases, **columns):
@@ -48,6 +46,17 @@ def test_select_by_position_mask_and_pairs(small_cases, index, positions):
         assert array.flags.c_contiguous
         assert not array.flags.writeable
     assert Cases(**case_arguments(chosen)) == chosen
+
+
+def test_index_and_iterate(small_cases):
+    for index in (0, -1, slice(2, 9, 3), [7, 0], np.arange(12) % 5 == 0, [(3, 0)]):
+        assert small_cases[index] == small_cases.select(index)
+    assert [case_pairs(case) for case in small_cases] == [
+        [pair] for pair in case_pairs(small_cases)
+    ]
+    for index, message in ((12, "index 12 is out of bounds"), (slice(5, 5), "is empty")):
+        with pytest.raises(InputError, match=message):
+            small_cases[index]
 
 
 def test_select_by_labels(small_cases):
@@ -98,75 +107,6 @@ def test_select_refuses(small_cases, args, labels, message):
         small_cases.select(*args, **labels)
 
 
-def test_paper_split_of_any_matrix(small_cases):
-    shuffled = small_cases.select(np.random.default_rng(1).permutation(12))
-    split = shuffled.split("paper")
-    assert isinstance(split, Split)
-    assert case_pairs(split.train) == [(g, w) for g in (1, 2) for w in (0, 1, 2)]
-    assert case_pairs(split.test) == [(1, 3), (2, 3), *((3, w) for w in range(4))]
-    assert split == small_cases.split()
-
-
-@pytest.mark.parametrize("chosen", [{"geometry": 1}, {"waveform": 2}])
-def test_paper_split_needs_two_of_each(small_cases, chosen):
-    with pytest.raises(InputError, match="so no case is left for training; name the cases"):
-        small_cases.select(**chosen).split()
-
-
-@pytest.mark.parametrize("kind", ["mapping", "file"])
-def test_split_by_name(small_cases, tmp_path, kind):
-    mapping = {"train": [[2, 1], [1, 3]], "test": [[3, 0]]}
-    path = tmp_path / "split.json"
-    path.write_text(json.dumps(mapping))
-    for how in [mapping] if kind == "mapping" else [path, str(path)]:
-        split = small_cases.split(how)
-        assert case_pairs(split.train) == [(2, 1), (1, 3)]
-        assert case_pairs(split.test) == [(3, 0)]
-
-
-@pytest.mark.parametrize(
-    ("mapping", "message"),
-    [
-        (
-            {"train": [[1, 1]], "tets": []},
-            "unknown key 'tets'; the keys are 'train' and 'test'",
-        ),
-        ({"train": [[1, 1]]}, "has no 'test'"),
-        ({"test": [[1, 1]]}, "has no 'train'"),
-        ({"train": [[1, 1]], "test": []}, "'test' of .* must be a non-empty list"),
-        ({"train": 3, "test": [[1, 1]]}, "'train' of .* must be a non-empty list"),
-        ({"train": "all", "test": [[1, 1]]}, "'train' of .* must be a non-empty list"),
-        ({"train": [[1, 1], [1]], "test": [[1, 2]]}, r"'train' of .*, entry 1, is \[1\]"),
-        ({"train": [[1, 1.5]], "test": [[1, 2]]}, "two whole numbers"),
-        ({"train": [[1, True]], "test": [[1, 2]]}, "two whole numbers"),
-        ({"train": [[1, 1], [1, 1]], "test": [[1, 2]]}, r"names \(1, 1\) twice"),
-        ({"train": [[1, 1], [1, 2]], "test": [[1, 2]]}, r"in both 'train' and 'test'.*\(1, 2\)"),
-        ({"train": [[1, 1], [4, 1], [1, 7]], "test": [[1, 2]]}, r"data set: .*\(4, 1\), \(1, 7\);"),
-    ],
-)
-def test_split_refuses(small_cases, tmp_path, mapping, message):
-    with pytest.raises(InputError, match=message):
-        small_cases.split(mapping)
-    path = tmp_path / "split.json"
-    path.write_text(json.dumps(mapping))
-    with pytest.raises(InputError, match=message) as caught:
-        small_cases.split(path)
-    assert "split.json" in str(caught.value)
-
-
-def test_split_refuses_files(small_cases, tmp_path):
-    with pytest.raises(DataNotFoundError, match=r"no split file 'papre'; give 'paper', a mapping"):
-        small_cases.split("papre")
-    path = tmp_path / "split.json"
-    for text in ('{"train": [[1, 1]', "\udcff", "[" * 100_000):
-        path.write_bytes(text.encode("utf-8", "surrogateescape"))
-        with pytest.raises(FileError, match="is not a readable JSON file"):
-            small_cases.split(path)
-    path.write_text("[1]")
-    with pytest.raises(InputError, match=r'must hold \{"train"'):
-        small_cases.split(path)
-
-
 @bounded
 @given(data=st.data())
 def test_selection_has_the_requested_order(small_cases, data):
@@ -177,11 +117,6 @@ def test_selection_has_the_requested_order(small_cases, data):
     back = [wanted.index(i) for i in sorted(wanted)]
     mask = np.isin(np.arange(12), wanted)
     assert chosen.select(back) == small_cases.select(mask)
-
-
-def test_a_split_that_is_neither_named_nor_a_file_is_refused(small_cases):
-    with pytest.raises(InputError, match=r"how must be 'paper', a mapping or the path"):
-        small_cases.split([1])
 
 
 def test_whole_numbers_may_have_any_type(small_cases):

@@ -427,18 +427,19 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     cases.save(data)
     settings = tmp_path / "settings.json"
     settings.write_text(json.dumps({"correction": PHYSICS_SETTINGS}))
-    code, printed, _ = run_pcnde(
+    code, printed, err = run_pcnde(
         *("fit", data, "--preset", "physics", "--config", settings, "--engine", "jax"),
-        *("--split", "none", "--out", out),
+        *("--out", out),
     )
     assert code == 0
+    assert f"All {len(cases)} cases are training cases" in err
     assert "pressure" in printed
     assert [p.name for p in tmp_path.iterdir() if "checkpoint" in p.name] == []
     assert same_numbers(PCNDE.load(out), model)
     errors = tmp_path / "errors.json"
     code, _, _ = run_pcnde("evaluate", out, data, "--split", "none", "--json", errors)
     assert code == 0
-    pooled = json.loads(errors.read_text())["train"]
+    pooled = json.loads(errors.read_text())["all"]
     assert pooled == pytest.approx(dict(model.evaluate(cases).iloc[-1]), rel=1e-12)
     time, result = np.arange(33) / 33, tmp_path / "result.csv"
     for name, axis, at, rows in (
