@@ -17,7 +17,7 @@ from typing import Any
 import pandas as pd
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge.errors import DataNotFoundError, FileError, PCNDEError
+from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEError
 
 # Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
 # Contents are copied several times on their way into a data set.
@@ -59,6 +59,25 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
         temporary.replace(target)
+
+
+def read_json(path: StrPath, what: str) -> dict[str, Any]:
+    """Read a JSON object from a file; ``what`` it holds is such as "settings".
+
+    Raises
+    ------
+    DataNotFoundError
+        If there is no such file.
+    FileError
+        If the file is not JSON.
+    InputError
+        If it holds something else than an object.
+    """
+    with reading(path, f"a readable JSON file of {what}"):
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(found, dict):
+        raise InputError(f"{path} must hold a JSON object of {what}.")
+    return found
 
 
 def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import typer
 from pandas.api.types import is_numeric_dtype
 
-from pcnde_bridge._utils.files import check_writable, reading
+from pcnde_bridge._utils.files import check_writable, read_json
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.cli.console import note
 from pcnde_bridge.config import PRESETS, Config, resolve_config
@@ -51,13 +50,7 @@ JSON = option(None, "Also write the results to this JSON file.", "--json")
 def settings_of(preset: str, path: Path | None) -> Config:
     """Return the settings of ``--preset`` with the changes of ``--config``."""
     settings = resolve_config(preset)
-    if path is None:
-        return settings
-    with reading(path, "a JSON file of settings"):
-        changes = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(changes, dict):
-        raise InputError(f"{path} must hold a JSON object of settings.")
-    return settings.replace(**changes)
+    return settings if path is None else settings.replace(**read_json(path, "settings"))
 
 
 def split_name(data: str, split: str | None) -> str:

@@ -297,7 +297,7 @@ class Cases(VesselQuantities):
         FileError
             If the file is missing or is not JSON.
         """
-        return self._split(split_positions(self._labels, how, by, seed, labels))
+        return Split(*map(self._take, split_positions(self._labels, how, by, seed, labels)))
 
     def folds(self, count: int, /, *, by: str | None = None, seed: int = 0) -> list[Split]:
         """Divide the data set at random into folds for cross-validation.
@@ -322,10 +322,8 @@ class Cases(VesselQuantities):
         InputError
             If there are fewer cases, or values of the label, than folds.
         """
-        return [self._split(parts) for parts in fold_positions(self._labels, count, by, seed)]
-
-    def _split(self, parts: Mapping[str, Positions]) -> Split:
-        return Split(self._take(parts["train"]), self._take(parts["test"]))
+        parts = fold_positions(self._labels, count, by, seed)
+        return [Split(*map(self._take, pair)) for pair in parts]
 
     # ---- files ---------------------------------------------------------
 

@@ -18,11 +18,10 @@ from pcnde_bridge.errors import InputError
 Positions = IntArray
 """Positions of cases in a data set."""
 
-Pairs = list[tuple[int, int]]
-"""Cases by their labels (geometry, waveform)."""
+_WHOLE = int | np.integer
 
 
-def case_keys(labels: pd.DataFrame) -> Pairs:
+def case_keys(labels: pd.DataFrame) -> list[tuple[int, int]]:
     """Return the (geometry, waveform) of every case."""
     return list(zip(labels["geometry"].tolist(), labels["waveform"].tolist(), strict=True))
 
@@ -49,13 +48,7 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
         given = "both were given" if wanted else "neither was given"
         raise InputError(f"select needs positions or label values such as geometry=10; {given}")
     positions = _with_labels(labels, wanted) if wanted else _from_index(labels, index)
-    if len(positions) == 0:
-        raise InputError("the selection is empty: no case matches")
-    unique, counts = np.unique(positions, return_counts=True)
-    if np.any(counts > 1):
-        twice = int(unique[np.argmax(counts > 1)])
-        raise InputError(f"case {twice} is selected more than once; ask for each case once")
-    return positions
+    return _each_once(positions, "select")
 
 
 def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
@@ -116,22 +109,24 @@ def pair_positions(labels: pd.DataFrame, pairs: Any, where: str) -> Positions:
     """Return the positions of (geometry, waveform) pairs, each given once, in their order."""
     if isinstance(pairs, str | Mapping) or not hasattr(pairs, "__len__") or len(pairs) == 0:
         raise InputError(f"{where} must be a non-empty list of [geometry, waveform] pairs")
-    keys: Pairs = []
     for i, pair in enumerate(pairs):
-        if not (
-            isinstance(pair, list | tuple | np.ndarray)
-            and len(pair) == 2
-            and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in pair)
-        ):
+        kinds = [*map(type, pair)] if isinstance(pair, list | tuple | np.ndarray) else []
+        if len(kinds) != 2 or bool in kinds or not all(issubclass(k, _WHOLE) for k in kinds):
             what = "[geometry, waveform], two whole numbers"
             raise InputError(f"{where}, entry {i}, is {pair!r}; write {what}")
-        key = (int(pair[0]), int(pair[1]))
-        if key in keys:
-            raise InputError(f"{where} names {key} twice, the second time as entry {i}")
-        keys.append(key)
-    known = {key: i for i, key in enumerate(case_keys(labels))}
-    absent = [key for key in keys if key not in known]
-    if absent:
+    known, keys = case_keys(labels), [(int(one), int(other)) for one, other in pairs]
+    if absent := [key for key in keys if key not in known]:
         what = f"(geometry, waveform) = {listed(absent)}; see cases.labels"
         raise InputError(f"{where} asks for cases that are not in this data set: {what}")
-    return np.array([known[key] for key in keys], dtype=np.intp)
+    return _each_once(np.array([known.index(key) for key in keys]), where)
+
+
+def _each_once(positions: Positions, where: str) -> Positions:
+    """Return positions, or raise if there is none or one is repeated."""
+    if len(positions) == 0:
+        raise InputError("the selection is empty: no case matches")
+    unique, counts = np.unique(positions, return_counts=True)
+    if (counts > 1).any():
+        twice = f"case {unique[counts > 1][0]} of the data set more than once"
+        raise InputError(f"{where} asks for {twice}; ask for each case once")
+    return positions

@@ -48,7 +48,7 @@ def test_split_by_name(small_cases, tmp_path, kind):
     [
         (
             {"train": [[1, 1]], "tets": []},
-            "unknown key 'tets'; the keys are 'train' and 'test'",
+            "unknown key 'tets'; give 'train' and 'test'",
         ),
         ({"train": [[1, 1]]}, "has no 'test'"),
         ({"test": [[1, 1]]}, "has no 'train'"),
@@ -58,7 +58,10 @@ def test_split_by_name(small_cases, tmp_path, kind):
         ({"train": [[1, 1], [1]], "test": [[1, 2]]}, r"'train' of .*, entry 1, is \[1\]"),
         ({"train": [[1, 1.5]], "test": [[1, 2]]}, "two whole numbers"),
         ({"train": [[1, True]], "test": [[1, 2]]}, "two whole numbers"),
-        ({"train": [[1, 1], [1, 1]], "test": [[1, 2]]}, r"names \(1, 1\) twice"),
+        (
+            {"train": [[1, 1], [1, 1]], "test": [[1, 2]]},
+            "asks for case 1 of the data set more than once",
+        ),
         ({"train": [[1, 1], [1, 2]], "test": [[1, 2]]}, r"in both 'train' and 'test'.*\(1, 2\)"),
         ({"train": [[1, 1], [4, 1], [1, 7]], "test": [[1, 2]]}, r"data set: .*\(4, 1\), \(1, 7\);"),
     ],
@@ -82,7 +85,7 @@ def test_split_refuses_files(small_cases, tmp_path):
         with pytest.raises(FileError, match="is not a readable JSON file"):
             small_cases.split(path)
     path.write_text("[1]")
-    with pytest.raises(InputError, match=r'must hold \{"train"'):
+    with pytest.raises(InputError, match=r'must hold .*\{"train"'):
         small_cases.split(path)
 
 
@@ -162,9 +165,9 @@ def test_split_refuses_arguments(small_cases, how, options, message):
 
 
 def test_too_few_groups_are_refused(small_cases):
-    with pytest.raises(InputError, match="1 case cannot be divided: at least two"):
+    with pytest.raises(InputError, match="no case is left for testing"):
         small_cases[0].split(0.5)
-    with pytest.raises(InputError, match="1 geometry value cannot be divided"):
+    with pytest.raises(InputError, match="folds is 2; 1 geometry value allow"):
         small_cases.select(geometry=1).folds(2, by="geometry")
     with pytest.raises(InputError, match="folds is 4; 3 geometry values allow 2 to 3 folds"):
         small_cases.folds(4, by="geometry")
