@@ -179,8 +179,7 @@ def _fourier_effect(data: FigureData) -> Drawn:
 
 
 def _noise(data: FigureData, noisy: studies.NoisyInput) -> Drawn:
-    study = studies.noise_study(data.model, data.hardest, noisy, executor=data.executor)
-    return _drawn(plots.noise, study, data)
+    return _drawn(plots.noise, studies.noise_study(data.model, data.hardest, noisy), data)
 
 
 def _activations(data: FigureData) -> Drawn:
