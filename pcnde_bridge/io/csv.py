@@ -57,11 +57,11 @@ def read_csv(paths: Paths, **options: Unpack[CaseOptions]) -> Cases:
     InputError
         If columns or rows are missing, or units, flow or time steps are ambiguous.
     """
-    chosen = as_paths(paths)
-    frames = read_labeled(chosen, (*_NUMBERS, *_KEYS, "blockage"), usecols=_is_used)
-    keyed = options.get("labels") is None
-    found = [_vessels(path, frame, keyed) for path, frame in zip(chosen, frames, strict=True)]
-    return to_cases([vessel for vessels in found for vessel in vessels], **options)
+    keyed, vessels = options.get("labels") is None, []
+    tables = read_labeled(as_paths(paths), (*_NUMBERS, *_KEYS, "blockage"), usecols=_is_used)
+    for path, frame in tables:
+        vessels += _vessels(path, frame, keyed)
+    return to_cases(vessels, **options)
 
 
 def _is_used(name: str) -> bool:
@@ -85,10 +85,8 @@ def _vessels(path: Path, frame: pd.DataFrame, keyed: bool) -> list[VesselResults
         raise InputError(f"{path}: a label is missing in the columns {lacking}.")
     groups = frame.groupby(labels, sort=True, dropna=False)
     if fault := _fault_of_labels(frame, labels, groups.size(), keyed):
-        raise InputError(
-            f"{path}: {fault}. Leave out columns that are not labels of a whole case, or name them "
-            "…_standard_deviation."
-        )
+        advice = "Leave out such columns, or name them …_standard_deviation."
+        raise InputError(f"{path}: {fault}. {advice}")
     return [_vessel(path, rows, dict(zip(labels, key, strict=True))) for key, rows in groups]
 
 
@@ -119,8 +117,7 @@ def _vessel(path: Path, rows: pd.DataFrame, labels: Mapping[str, Any]) -> Vessel
     if len(rows) != time.size * z.size or not table.index.is_unique:
         raise InputError(
             f"{where} has {len(rows)} rows, but {time.size} time points and {z.size} points make "
-            f"{time.size * z.size}: give each time point and point once, and several cases with "
-            "columns that identify them, such as geometry and waveform."
+            f"{time.size * z.size}: give each once, or add columns that identify several cases."
         )
     fields: dict[str, Any] = {
         name: table[name].to_numpy().reshape(time.size, z.size)

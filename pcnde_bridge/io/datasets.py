@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import cache_folder
+from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.published import read_authors_folder
 from pcnde_bridge.errors import DataNotFoundError, FileError
@@ -45,7 +46,7 @@ def find_published() -> Path | None:
         if not (folder / "data_3D").is_dir():
             why = "contains no folder data_3D" if folder.is_dir() else "does not exist"
             raise DataNotFoundError(
-                f"PCNDE_DATA is {named!r}, which {why}; give the folder of data_3D, or unset it"
+                f"PCNDE_DATA is {named!r}, which {why}; give the folder of data_3D"
             )
         return folder.resolve()
     for start in (Path.cwd(), Path(__file__).resolve().parents[2]):
@@ -120,9 +121,8 @@ def download_published(
             "connection and set PCNDE_DATA to its folder 'data', which contains data_3D"
         ) from error
     except OSError as error:
-        raise FileError(
-            f"cannot write to the cache: {error}; free space, or set PCNDE_CACHE to another folder"
-        ) from error
+        advice = "free space, or set PCNDE_CACHE to another folder"
+        raise FileError(f"cannot write to the cache: {error}; {advice}") from error
     finally:
         logger.setLevel(level)
     return folder
@@ -156,34 +156,23 @@ def load_cases(data: StrPath | Cases) -> Cases:
     """
     if isinstance(data, Cases):
         return data
-    if isinstance(data, str) and data in DATASETS:
-        return DATASETS[data]()
+    if data == "published":
+        return read_authors_folder(find_published() or download_published())
+    if data == "synthetic":
+        from pcnde_bridge.hemodynamics.synthetic import synthetic
+
+        return synthetic()
     path = Path(data)
     if path.is_dir():
         return read_authors_folder(path)
     if path.is_file():
         return Cases.load(path)
-    known = ", ".join(repr(name) for name in DATASETS)
-    raise DataNotFoundError(
-        f"{str(data)!r} is neither a file or folder nor the name of a data set: {known}"
-    )
+    what = f"neither a file or folder nor the name of a data set: {listed([*map(repr, DATASETS)])}"
+    raise DataNotFoundError(f"{str(data)!r} is {what}")
 
 
-def _load_published() -> Cases:
-    return read_authors_folder(find_published() or download_published())
-
-
-def _compute_synthetic() -> Cases:
-    from pcnde_bridge.hemodynamics.synthetic import synthetic
-
-    return synthetic()
-
-
-#: Functions that return the data sets that :func:`load_cases` knows by name.
-DATASETS: dict[str, Callable[[], Cases]] = {
-    "published": _load_published,
-    "synthetic": _compute_synthetic,
-}
+DATASETS = "published", "synthetic"
+"""Data sets that :func:`load_cases` knows by name."""
 
 
 def _checksums() -> Mapping[str, str]:

@@ -67,9 +67,7 @@ def read_hdf5(
     places = dict(names or {})
     for name, place in places.items():
         if name not in UNITS or not isinstance(place, str):
-            raise InputError(
-                f"names has {name!r}: {place!r}; it can name the paths of {', '.join(UNITS)}."
-            )
+            raise InputError(f"names has {name!r}: {place!r}; it can name the paths of {[*UNITS]}.")
     stated = set(stated_units(options.get("units")))
     chosen, vessels, ours = as_paths(paths), [], []
     for path in chosen:
@@ -141,9 +139,7 @@ def _vessels(
 ) -> list[VesselResults]:
     """Return the results of each case from the arrays of a file."""
     if absent := [name for name in _REQUIRED if name not in arrays]:
-        raise InputError(
-            f"it lacks the data sets {absent}; name them, names= (--names {absent[0]}=path)."
-        )
+        raise InputError(f"it lacks the data sets {absent}; name them (--names {absent[0]}=path).")
     fields: dict[str, Any] = {}
     for name, array in arrays.items():
         if not name.startswith("labels/") and array.dtype.kind not in "iuf":

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,12 +42,10 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     frame = read_frame(path, sep=separator, **options)
     name, _, unit = str(frame.columns[0]).strip(" )]").replace("[", "(").partition("(")
     if frame.shape[1] < 2 or name.strip().lower() not in _AXES[axis]:
-        raise InputError(
-            f"{path} must have the columns {axis}, then one for each case, not {[*frame.columns]}."
-        )
+        raise InputError(f"{path} must have the columns {axis}, then one per case, not {[*frame]}.")
     if unit and unit.strip() != SYSTEMS["cgs"][axis]:
         raise InputError(
-            f"{path} gives {axis} in {unit}: call it {axis!r}, and pass --units {axis}={unit}."
+            f"{path} gives {axis} in {unit}: call it {axis}, pass --units {axis}={unit}."
         )
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
     inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
@@ -121,7 +118,7 @@ def read_cycle(
         period = span if closed else span * time.size / (time.size - 1)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
-            f"{path} covers {span:g} s, which is not one cycle of {period:g} s: correct --period."
+            f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."
         )
     if abs(span - period) <= 1e-3 * steps.min():
         time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
@@ -191,9 +188,8 @@ def read_columns(
 
         check_increasing(axis, found, unit)
         if abs(found[[0, -1]] - expected[[0, -1]]).max() > 1e-3 * np.ptp(expected):
-            raise InputError(
-                f"{path} has {axis} from {found[0]:g} to {found[-1]:g}; the model works {covered}."
-            )
+            given = f"from {found[0]:g} to {found[-1]:g}"
+            raise InputError(f"{path} has {axis} {given}; the model works {covered}.")
         at = np.clip(expected, found[0], found[-1])
         return pd.DataFrame(PchipInterpolator(found, columns)(at), columns=columns.columns)
     if len(found) != len(expected):
@@ -210,8 +206,7 @@ def read_columns(
     return columns
 
 
-@dataclass(frozen=True)
-class CaseInputs:
+class CaseInputs(NamedTuple):
     """Inputs of the cases to predict.
 
     Attributes

@@ -91,9 +91,7 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
     if target.is_dir() or not target.parent.is_dir():
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")
     if suffix in _DATA_SETS and not has_pressure:
-        raise InputError(
-            "The model has no pressure stages, so it cannot predict data sets: use .csv or .vtp."
-        )
+        raise InputError("The model has no pressure stages, so no data sets: use .csv or .vtp.")
     if suffix in _CENTERLINES:
         require("vtkmodules.vtkIOXML", "vtk")
     return suffix

@@ -57,9 +57,8 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
     near = time[last[0]] - (time[-1] - cycle) < _NEAR * float(np.median(steps))
     taken = last[1:] if near else last
     if taken.size < _FEWEST:
-        raise InputError(
-            f"a cycle of {cycle:g} s has {taken.size} time points only: correct it, or save more."
-        )
+        few = f"{taken.size} time points only"
+        raise InputError(f"a cycle of {cycle:g} s has {few}: correct it, or save more.")
     if not _repeats(vessel, last, cycle):
         raise InputError(
             f"it is not periodic: one period of {cycle:g} s before its end it differs from the end "
@@ -82,10 +81,8 @@ def _whole_recording(vessel: VesselResults) -> VesselResults:
         )
     ends = (np.abs(v[0] - v[-1]).max() <= _SAME * np.ptp(v) for v in vessel.variables().values())
     if all(ends) and np.ptp(inflow) > 0:
-        raise InputError(
-            "the last time point repeats the first, one period later. Pass "
-            f"period={span:g} (--period {span:g}) to leave it out."
-        )
+        advice = f"Pass period={span:g} (--period {span:g}) to leave it out."
+        raise InputError(f"the last time point repeats the first, one period later. {advice}")
     if abs(inflow[0] - inflow[-1]) > _JUMP * np.abs(np.diff(inflow)).max():
         raise InputError(
             f"it is not one cycle: the inflow ends at {inflow[-1]:.4g} mL/s and begins at "
@@ -190,9 +187,7 @@ def on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Vess
         points = np.linspace(first, last, whole("points", points, 3))
     z, slack = np.asarray(points, dtype=np.float64), _SAME_LENGTH * np.ptp(vessel.z)
     if z.ndim != 1 or z.min() < first - slack or z.max() > last + slack:
-        raise InputError(
-            f"points must be numbers from {first:g} to {last:g} cm, the ends of the vessel."
-        )
+        raise InputError(f"points must lie within the vessel, from {first:g} to {last:g} cm.")
     inside = np.clip(z, first, last)
 
     def along(values: Array) -> Array:
@@ -228,6 +223,6 @@ def check_same_grid(first: VesselResults, other: VesselResults) -> None:
             raise InputError(
                 f"{first.name} has {mine.size} values of {name} from {mine[0]:g} to {mine[-1]:g}, "
                 f"{other.name} {theirs.size} from {theirs[0]:g} to {theirs[-1]:g}. Resample with "
-                f"{option}= (--{option.replace('_', '-')}) where they differ in number; vessels of "
+                f"{option}= (--{option.replace('_', '-')}) if their number differs; vessels of "
                 "other lengths or periods need separate data sets."
             )

@@ -101,9 +101,8 @@ def _read_vessel(
     if undeformed is None:
         raise InputError("it has no undeformed area: CenterlineSectionArea or area_undeformed.")
     if "area" not in names and not rigid:
-        raise InputError(
-            f"it has no area for each time step. Pass rigid=True (--rigid) to use {undeformed}."
-        )
+        advice = f"Pass rigid=True (--rigid) to use {undeformed}."
+        raise InputError(f"it has no area for each time step. {advice}")
     steps = sorted(names["pressure"], key=float)
     names.setdefault("area", dict.fromkeys(steps, undeformed))
     fields: dict[str, Any] = {

@@ -77,7 +77,7 @@ def read_sv1d(
     """
     if options.get("period") is None:
         raise InputError(
-            "svOneDSolver's solutions start from rest: pass the period, period= (--period), in s."
+            "svOneDSolver starts from rest: pass the period, period= (--period), in s."
         )
     wanted = [segments] if isinstance(segments, str) else segments
     return read_vessels(paths, lambda path: [_read_vessel(path, wanted)], **options)
@@ -87,9 +87,8 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
     with reading(path, "an input file of svOneDSolver"):
         model, known, step, saves = _read_input(path)
     if saves < 4:
-        raise InputError(
-            f"it saves {saves} time points, too few: reduce the second number of SOLVEROPTIONS."
-        )
+        advice = "reduce the second number of SOLVEROPTIONS"
+        raise InputError(f"it saves {saves} time points, too few: {advice}.")
     parts: list[dict[str, Array]] = []
     start = 0.0
     for segment in _chain(known, wanted):
@@ -163,10 +162,8 @@ def _chain(known: dict[str, _Segment], wanted: Sequence[str] | None) -> list[_Se
 def _read_table(path: Path, shape: tuple[int, int]) -> Array:
     """Return the numbers of a result file, one row for each node."""
     if not path.is_file():
-        raise DataNotFoundError(
-            f"There is no file {path}: run the solver with the output TEXT, and leave its results "
-            "beside its input file."
-        )
+        advice = "run the solver with the output TEXT, and keep its results beside its input"
+        raise DataNotFoundError(f"There is no file {path}: {advice}.")
     what = "a table of numbers with {} nodes (rows) and {} time steps (columns)".format(*shape)
     with reading(path, f"{what}, as the input file says"):
         table: Array = np.loadtxt(path, ndmin=2, comments=None, encoding="ascii")

@@ -52,10 +52,8 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
         header = "" if "sep" in options else first_line(path)
         for mark, name in ((";", "semicolons"), ("\t", "tabs")):
             if mark in header and "," not in header:
-                raise FileError(
-                    f"The columns of {path} are separated by {name}: save it with commas between "
-                    "the columns and points in the numbers."
-                )
+                advice = "save it with commas between columns and points in numbers"
+                raise FileError(f"The columns of {path} are separated by {name}: {advice}.")
         # Blanks after commas belong neither to names nor to values.
         frame: pd.DataFrame = pd.read_csv(path, skipinitialspace=True, **_EXACT, **options)
     return frame
@@ -146,8 +144,8 @@ def line_of(path: StrPath, row: int) -> int:
 
 
 def read_labeled(
-    paths: Iterable[StrPath], numeric: Collection[str], **options: Any
-) -> list[pd.DataFrame]:
+    paths: Iterable[Path], numeric: Collection[str], **options: Any
+) -> list[tuple[Path, pd.DataFrame]]:
     """Read CSV files with columns of numbers and columns of labels.
 
     Parameters
@@ -161,8 +159,8 @@ def read_labeled(
 
     Returns
     -------
-    list of DataFrame
-        One table for each file.  A column of labels holds numbers or truth values if all
+    list of (Path, DataFrame)
+        Each file with its table.  A column of labels holds numbers or truth values if all
         its values in all files are such, as ``12`` and ``0.50``, but not ``007``; else it
         holds the text of the files.  Only an empty value is missing (NaN): ``NA`` is text.
 
@@ -171,10 +169,10 @@ def read_labeled(
     FileError
         If a file cannot be read as a table.
     """
-    frames: list[pd.DataFrame] = []
+    tables: list[tuple[Path, pd.DataFrame]] = []
     texts: dict[str, set[str]] = {}
     for path in paths:
-        if Path(path).is_fifo():
+        if path.is_fifo():
             raise FileError(f"{path} is a pipe, but this table is read twice: save it as a file.")
         header = [str(name) for name in read_frame(path, nrows=0, **options)]
         names = [name for name in header if name not in numeric]
@@ -187,13 +185,13 @@ def read_labeled(
         )
         for name in names:
             texts.setdefault(name, set()).update(frame[name].unique())
-        frames.append(frame)
+        tables.append((path, frame))
     for name, found in texts.items():
         values = _label_values(found - {""})
-        for frame in frames:
+        for _, frame in tables:
             if name in frame:
                 frame[name] = frame[name].map(values).infer_objects()
-    return frames
+    return tables
 
 
 def _label_values(texts: Collection[str]) -> dict[str, Any]:
@@ -232,7 +230,7 @@ def read_labels(path: StrPath, files: Sequence[StrPath]) -> pd.DataFrame:
     InputError
         If a file has no row, or several.
     """
-    [table] = read_labeled([path], ("geometry", "waveform", "blockage"))
+    [(_, table)] = read_labeled([Path(path)], ("geometry", "waveform", "blockage"))
     if "file" not in table:
         raise InputError(f"{path} lacks the column 'file'; it has {list(table.columns)}.")
     rows = []

@@ -15,9 +15,7 @@ from pcnde_bridge.training.trainer import Session, Trainer
 def check_single(cases: Cases, study: str) -> None:
     """Raise InputError unless there is exactly one case."""
     if len(cases) != 1:
-        raise InputError(
-            f"{study} one case, got {len(cases)}. Select it: cases.select(geometry=…, waveform=…)."
-        )
+        raise InputError(f"{study} one case, got {len(cases)}. Select it, such as cases[0].")
 
 
 def check_shape(variable: str, values: Array, cases: Cases) -> Array:

@@ -136,9 +136,7 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
         for name, values in arrays.items():
             truth = compared(name, check_shape(name, values, cases))
             if not truth.all():
-                raise InputError(
-                    f"The true {name} is 0 somewhere: its relative error is undefined."
-                )
+                raise InputError(f"The true {name} is 0 somewhere: it has no relative error.")
             errors = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()
             if np.isnan(errors).any():
                 rows[name, method] = (np.nan,) * len(_STATISTICS)

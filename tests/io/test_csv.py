@@ -52,7 +52,7 @@ def test_labels_of_which_a_part_would_be_lost_are_refused(prediction, tmp_path):
     [
         (lambda f: f.drop(columns="area"), r"lacks the columns \['area'\]"),
         (lambda f: f.iloc[:-1], "419 rows, but 20 time points and 21 points make 420"),
-        (lambda f: pd.concat([f, f]), "840 rows, .*columns that identify them"),
+        (lambda f: pd.concat([f, f]), "840 rows, .*columns that identify several"),
         (lambda f: f.assign(area_undeformed=0.1 + f["time"]), "area_undeformed changes with time"),
         (lambda f: f.assign(flow="x"), "line 2, column flow: not a number"),
         (lambda f: f.iloc[:0], "has no rows"),

@@ -244,7 +244,7 @@ def test_an_end_point_is_found_whatever_the_period(tmp_path, period):
         read_cycle(path, 0.0, 1.0)
     found, columns = read_cycle(path, 0.0, 1.0, period=period)
     assert (found, len(columns)) == (period, 80)
-    with pytest.raises(InputError, match=r"is not one cycle of 0\.5 s"):
+    with pytest.raises(InputError, match=r"not one cycle of 0\.5 s"):
         read_cycle(path, 0.0, 1.0, period=0.5)
 
 

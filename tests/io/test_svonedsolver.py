@@ -34,7 +34,7 @@ def test_reads_a_chain_of_segments(straight, tmp_path):
 def test_reads_what_the_solver_wrote():
     """Text that svOneDSolver made of ``tests/data/sv1d/tube.in``."""
     path = Path(__file__).parents[1] / "data" / "sv1d" / "tube.in"
-    with pytest.raises(InputError, match=r"start from rest: pass the period.*--period"):
+    with pytest.raises(InputError, match=r"starts from rest: pass the period.*--period"):
         read_sv1d(path)
     found = read_sv1d(path, period=1.0)
     assert (found.n_times, found.n_points, found.period) == (20, 11, 1.0)

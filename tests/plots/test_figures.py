@@ -320,7 +320,7 @@ def test_pcnde_figures_reports_errors(run_pcnde, files):
     ):
         code, text, notes = run_pcnde("figures", *arguments)
         assert code == 2, (arguments, notes)
-        assert notes.startswith("Error: "), notes
+        assert notes.splitlines()[-1].startswith("Error: "), notes
         assert words in notes
         assert "Traceback" not in text + notes
         assert not (files / "x").exists()
