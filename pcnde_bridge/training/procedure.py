@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 from pcnde_bridge._typing import AnyArray
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.training.history import Iteration, Recorder
 from pcnde_bridge.uncertainty.sampling import Uncertainty

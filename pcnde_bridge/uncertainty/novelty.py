@@ -23,7 +23,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_finite, check_shape
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.splits import Positions
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.errors import PCNDEWarning
 
 EDGE = 1 + 1e-6
