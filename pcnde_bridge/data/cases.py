@@ -154,9 +154,6 @@ class Cases(VesselQuantities):
         """Flow rate at the inlet (mL/s), shape (n_cases, n_times); a read-only view."""
         return self.flow[:, :, 0]
 
-    def __len__(self) -> int:
-        return self.n_cases
-
     def __repr__(self) -> str:
         names = "geometry", "waveform"
         kinds = ", ".join(counted(self._labels[name].nunique(), name) for name in names)
@@ -196,19 +193,6 @@ class Cases(VesselQuantities):
                 values = np.array(values.tolist(), dtype=np.str_)
             contents[f"{_LABELS}{column}"] = values
         return contents
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the data set as a tidy table, one row per case, time point and point.
-
-        Returns
-        -------
-        DataFrame
-            Columns of the labels (geometry, waveform, blockage and any other), time (s),
-            z (cm), flow (mL/s), area (cm²), pressure (dyn/cm²), wall_shear_stress (dyn/cm²,
-            if there is one) and area_undeformed (cm²), with ``n_cases * n_times * n_points``
-            rows; z varies fastest.
-        """
-        return self._tidy(self.variables())
 
     # ---- subsets -------------------------------------------------------
 

@@ -194,14 +194,30 @@ class VesselQuantities:
         area_undeformed: Array
         time: Array
         z: Array
+        period: float
 
         @property
         def labels(self) -> pd.DataFrame:
             """Labels, one row for each case."""
 
+    def __len__(self) -> int:
+        return len(self.flow)
+
     def variables(self) -> dict[str, Array]:
         """Return flow, area, pressure and wall shear stress by name, if there are such."""
         return {name: v for name in FIELDS if (v := getattr(self, name)) is not None}
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a tidy table, one row for each case, time point and point.
+
+        Returns
+        -------
+        DataFrame
+            Columns of the labels (geometry, waveform, blockage and any other), time (s),
+            z (cm), flow (mL/s), area (cm²), pressure and wall_shear_stress (dyn/cm², where
+            there are such) and area_undeformed (cm²); z varies fastest.
+        """
+        return self._tidy(self.variables())
 
     def _tidy(self, variables: Mapping[str, Array]) -> pd.DataFrame:
         """Return a row for each case, time point and axial position; z varies fastest."""

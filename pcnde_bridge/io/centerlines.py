@@ -16,8 +16,8 @@ from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write, check_writable, make_folder
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge._version import __version__
+from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.errors import FileError
-from pcnde_bridge.io.predicted import Predicted
 
 LABEL_PREFIX = "labels/"
 """Beginning of the names of field data that are labels of a case."""
@@ -26,7 +26,7 @@ WRITER = "pcnde_bridge"
 """Name of the array that marks files of this package."""
 
 
-def write_vtp(prediction: Predicted, path: StrPath) -> list[Path]:
+def write_vtp(prediction: VesselQuantities, path: StrPath) -> list[Path]:
     """Write a prediction as centerlines with arrays for each time step.
 
     The vessel is a straight line along z.  :func:`pcnde_bridge.io.read_simvascular` reads
@@ -62,7 +62,7 @@ def write_vtp(prediction: Predicted, path: StrPath) -> list[Path]:
     return _write_all(contents, target.parent, earlier)
 
 
-def write_pvd(prediction: Predicted, path: StrPath) -> list[Path]:
+def write_pvd(prediction: VesselQuantities, path: StrPath) -> list[Path]:
     """Write a prediction as an animation for ParaView: one file for each time step.
 
     Parameters
@@ -123,7 +123,7 @@ def _write_all(contents: Mapping[Path, bytes], folder: Path, earlier: str) -> li
     return list(contents)
 
 
-def _vtp(prediction: Predicted, case: int, step: int | None) -> bytes:
+def _vtp(prediction: VesselQuantities, case: int, step: int | None) -> bytes:
     """Return the content of a ``.vtp`` file: one time step, or arrays for each of them."""
     core, model = (require(f"vtkmodules.vtkCommon{part}", "vtk") for part in ("Core", "DataModel"))
     data, lines, n = model.vtkPolyData(), model.vtkCellArray(), prediction.z.size
@@ -153,7 +153,7 @@ def _vtp(prediction: Predicted, case: int, step: int | None) -> bytes:
 
 
 def _point_arrays(
-    prediction: Predicted, case: int, step: int | None
+    prediction: VesselQuantities, case: int, step: int | None
 ) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays at the points of the centerline."""
     n = prediction.z.size

@@ -8,30 +8,15 @@ from pathlib import Path
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write
 from pcnde_bridge._utils.optional import require
+from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.io.centerlines import write_pvd, write_vtp
-from pcnde_bridge.io.predicted import Predicted
 
 _DATA_SETS = (".npz", ".h5", ".hdf5")
-_CENTERLINES = {".vtp": write_vtp, ".pvd": write_pvd}
+CENTERLINES = {".vtp": write_vtp, ".pvd": write_pvd}
 
 
-def save(prediction: Predicted, path: StrPath) -> list[Path]:
-    """Write a prediction in the format that the file's ending names.
-
-    See :meth:`pcnde_bridge.Prediction.save` for the formats and errors.
-    """
-    suffix = check_target(path, "pressure" in prediction.variables())
-    if suffix in _CENTERLINES:
-        return _CENTERLINES[suffix](prediction, path)
-    if suffix == ".csv":
-        save_csv([prediction], path)
-    else:
-        prediction.to_cases().save(path)
-    return [Path(path)]
-
-
-def save_csv(parts: Iterable[Predicted], path: StrPath) -> int:
+def save_csv(parts: Iterable[VesselQuantities], path: StrPath) -> int:
     """Write the tables of several predictions into one file.
 
     Parameters
@@ -86,12 +71,12 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
     """
     target = Path(path)
     suffix = ".csv" if target.name.lower().endswith(".csv.gz") else target.suffix.lower()
-    if suffix not in (".csv", *_DATA_SETS, *_CENTERLINES):
+    if suffix not in (".csv", *_DATA_SETS, *CENTERLINES):
         raise FileError(f"Cannot write {target}: it must end in .csv, .npz, .h5, .vtp or .pvd.")
     if target.is_dir() or not target.parent.is_dir():
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")
     if suffix in _DATA_SETS and not has_pressure:
         raise InputError("The model has no pressure stages, so no data sets: use .csv or .vtp.")
-    if suffix in _CENTERLINES:
+    if suffix in CENTERLINES:
         require("vtkmodules.vtkIOXML", "vtk")
     return suffix

@@ -71,9 +71,6 @@ class Prediction(VesselQuantities):
     samples: Mapping[str, Array] | None = field(default=None, repr=False)
     wall_shear_stress: Array | None = field(default=None, repr=False)
 
-    def __len__(self) -> int:
-        return len(self.flow)
-
     def standard_deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable, shape (case, time, z).
 
@@ -249,7 +246,14 @@ class Prediction(VesselQuantities):
         MissingExtraError
             If VTK is needed and not installed (extra ``vtk``).
         """
-        return predictions.save(self, path)
+        suffix = predictions.check_target(path, self.pressure is not None)
+        if suffix in predictions.CENTERLINES:
+            return predictions.CENTERLINES[suffix](self, path)
+        if suffix == ".csv":
+            predictions.save_csv([self], path)
+        else:
+            self.to_cases().save(path)
+        return [Path(path)]
 
     def to_cases(self) -> Cases:
         """Return the prediction as a data set.
