@@ -32,6 +32,12 @@ class _Range(NamedTuple):
     powers: Mapping[str, float]
     factor: float = 1.0
 
+    def holds(self, low: float, high: float, units: Mapping[str, str]) -> bool:
+        """Return whether two numbers are in the range if the quantities have these units."""
+        powers = (FACTORS[n][unit] ** self.powers.get(n, 0) for n, unit in units.items())
+        factor = math.prod(powers)
+        return bool(self.low <= low * factor and high * factor <= self.high)
+
 
 # Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
 # Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise.
@@ -54,21 +60,6 @@ _TRANSPOSED = (
     "The arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
     "np.swapaxes(array, -1, -2)."
 )
-
-
-class _Measured(NamedTuple):
-    """Least and largest value of a number among the vessels, beside its usual range."""
-
-    usual: _Range
-    low: float
-    high: float
-
-    def is_usual(self, units: Mapping[str, str]) -> bool:
-        """Return whether both are in the range if the quantities have these units."""
-        powers = (FACTORS[n][unit] ** self.usual.powers.get(n, 0) for n, unit in units.items())
-        factor = math.prod(powers)
-        low, high = self.low * factor, self.high * factor
-        return bool(self.usual.low <= low and high <= self.usual.high)
 
 
 Sizes = dict[str, Array]
@@ -209,7 +200,7 @@ def check_units(
     measured = list(_measured(sizes, open_))
 
     def all_usual(units: Mapping[str, str]) -> bool:
-        return all(number.is_usual(units) for number in measured)
+        return all(usual.holds(low, high, units) for usual, low, high in measured)
 
     right = all_usual({})
     if right and not unique:
@@ -224,8 +215,8 @@ def check_units(
     doubts = [
         f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
         f"{usual.low:g} to {usual.high:g}"
-        for usual, low, high in (number for number in measured if not number.is_usual({}))
-        if others or "balance" not in usual.powers
+        for usual, low, high in measured
+        if not usual.holds(low, high, {}) and (others or "balance" not in usual.powers)
     ]
     if not doubts:
         return
@@ -243,15 +234,15 @@ def check_units(
     )
 
 
-def _measured(sizes: Sizes, open_: Collection[str]) -> Iterator[_Measured]:
-    """Measure the numbers that depend on quantities with open units."""
+def _measured(sizes: Sizes, open_: Collection[str]) -> Iterator[tuple[_Range, float, float]]:
+    """Yield the ranges that depend on open units, with the least and the largest number."""
     for usual in _RANGES:
         names = usual.powers.keys()
         if names & {*open_} and names <= sizes.keys():
             powers = [sizes[name] ** power for name, power in usual.powers.items()]
             values = usual.factor * math.prod(powers)
             if not np.isnan(values).all():
-                yield _Measured(usual, float(np.nanmin(values)), float(np.nanmax(values)))
+                yield usual, float(np.nanmin(values)), float(np.nanmax(values))
 
 
 def _combinations(names: Collection[str]) -> Iterator[dict[str, str]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["FIELDS", "MMHG", "SOLVER_LABELS", "UNITS", "VARIABLES"]
-
 VARIABLES = ("flow", "area", "pressure")
 """Variables that every model predicts, each of shape (case, time, z)."""
 
