@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import typer
 from rich.console import Console
@@ -22,7 +23,12 @@ _out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
-_SHORT_TITLES = {"pressure_drop": "drop", "one_minus_ffr": "1 − FFR"}
+_SHORT_TITLES = {
+    "wall_shear_stress": "WSS",
+    "pressure_drop": "drop",
+    "one_minus_ffr": "1 − FFR",
+    "time_averaged_wall_shear_stress": "TAWSS",
+}
 """Titles of columns of errors that would be too long for a narrow terminal."""
 
 
@@ -41,12 +47,14 @@ def show(table: Table) -> None:
     _out.print(table, soft_wrap=False)
 
 
-def show_errors(errors: pd.DataFrame, padding: int | tuple[int, int] = (0, 1)) -> None:
-    """Print relative errors: a line for each row, a column for each variable; texts as they are."""
-    titles = errors.rename(columns=_SHORT_TITLES).columns
-    table = Table("relative error", *titles, padding=padding)
-    for name, *values in errors.itertuples():
-        table.add_row(name, *(v if isinstance(v, str) else f"{v:.4f}" for v in values))
+def show_numbers(
+    numbers: pd.DataFrame, title: str = "relative error", digits: int = 4, padding: int = 1
+) -> None:
+    """Print a line for each row, a column for each variable; a dash for no number."""
+    titles = numbers.rename(columns=_SHORT_TITLES).columns
+    table = Table(title, *titles, padding=(0, padding, 0, 0))
+    for name, *values in numbers.itertuples():
+        table.add_row(name, *("–" if np.isnan(v) else f"{v:.{digits}f}" for v in values))
     show(table)
 
 

@@ -15,7 +15,7 @@ from pcnde_bridge._utils.files import write_csv, write_json
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.validation import counted, positive
 from pcnde_bridge.cli import options
-from pcnde_bridge.cli.console import note, say, show, show_errors
+from pcnde_bridge.cli.console import note, say, show, show_numbers
 from pcnde_bridge.cli.options import check_outputs, option, split_of, units_of
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
@@ -64,7 +64,7 @@ def evaluate(
         write_json(json_file, errors)
     if csv is not None:
         write_csv(csv, pd.concat(tables, names=["set"]))
-    show_errors(pd.DataFrame(errors).T)
+    show_numbers(pd.DataFrame(errors).T)
 
 
 def predict(

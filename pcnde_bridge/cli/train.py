@@ -12,7 +12,7 @@ from pcnde_bridge._utils.files import write_csv
 from pcnde_bridge._utils.parallel import processes
 from pcnde_bridge._utils.result_folder import remove_results
 from pcnde_bridge.cli import options
-from pcnde_bridge.cli.console import note, resumable, say, show_errors
+from pcnde_bridge.cli.console import note, resumable, say, show_numbers
 from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_name, split_of
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
@@ -70,7 +70,7 @@ def fit(
         model.save(out)
         if not model.provenance["failures"]:
             remove_results(folder)
-    show_errors(pd.DataFrame({n: pooled(model.evaluate(cases)) for n, cases in sets.items()}).T)
+    show_numbers(pd.DataFrame({n: pooled(model.evaluate(cases)) for n, cases in sets.items()}).T)
     say(f"Saved {out}.")
 
 
@@ -102,7 +102,7 @@ def cross_validate(
     means = errors.groupby("label").mean().rename("mean, {}".format)
     table.index = errors.index = pd.Index([" ".join(map(str, key)) for key in errors.index])
     if not errors.empty:
-        show_errors(pd.concat([errors, means]))
+        show_numbers(pd.concat([errors, means]))
     for name, reason in table["failure"].dropna().items():
         say(f"{name}: {reason}")
     if table["failure"].notna().all():
@@ -164,7 +164,7 @@ def demo(
         result = run_demo(out, seed, engine)
     methods = result.errors.items()
     rows = {f"{s}, {method}": sets[s] for s in ("train", "test") for method, sets in methods}
-    show_errors(pd.DataFrame(rows).T)
+    show_numbers(pd.DataFrame(rows).T)
     say(NEXT_STEPS.format(folder=out, seconds=result.seconds))
 
 
@@ -181,17 +181,16 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
 
 
 def _show_rows(rows: list[benchmark.Row]) -> None:
-    """Print a line for each method and set, then why some methods were not applicable."""
-    lines: dict[str, dict[str, float | str]] = {}
-    for row in rows:
-        for name, errors in row.errors.items():
-            times = {
-                "fit, s": "–" if row.fit_seconds is None else f"{row.fit_seconds:.1f}",
-                "predict,\nms/case": f"{row.predict_ms_per_case:.2f}",
-            }
-            lines[f"{row.name}, {name}"] = errors | times
+    """Print errors and times of each method, then why some methods were not applicable."""
+    errors = {f"{row.name}, {name}": row.errors[name] for row in rows for name in row.errors}
+    times = {
+        row.name: {"fit, s": row.fit_seconds, "predict, ms/case": row.predict_ms_per_case}
+        for row in rows
+        if row.errors
+    }
     # Without padding, the table fits into 80 characters.
-    show_errors(pd.DataFrame(lines).T, padding=0)
+    show_numbers(pd.DataFrame(errors).T, padding=0)
+    show_numbers(pd.DataFrame(times, dtype=float).T, "time", digits=2)
     for row in rows:
         if row.reason is not None:
             say(f"{row.name}: {row.reason}")

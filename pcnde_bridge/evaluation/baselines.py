@@ -23,8 +23,13 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
-from pcnde_bridge.data.indices import healthy_area, measuring_positions, pressure_drop, throats
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.indices import (
+    healthy_area,
+    measuring_positions,
+    poiseuille_wall_shear_stress,
+    pressure_drop,
+    throats,
+)
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
@@ -66,7 +71,8 @@ class Baseline(Protocol):
         Returns
         -------
         dict of str to array of shape (case, time, z)
-            ``flow`` (mL/s), ``area`` (cm²) and ``pressure`` (dyn/cm²).
+            ``flow`` (mL/s), ``area`` (cm²), ``pressure`` and, if the method gives it,
+            ``wall_shear_stress`` (dyn/cm²).
 
         Raises
         ------
@@ -90,7 +96,8 @@ class _WithOutlet:
 class Unchanged(_WithOutlet):
     """No change along the vessel: Q = Q_in, S = S_u and p = R·Q_in.
 
-    The resistance R of the outlet is fitted on the training cases by least squares.
+    The resistance R of the outlet is fitted on the training cases by least squares.  The wall
+    shear stress is Poiseuille's, 4·μ·Q/(π·r³).
     """
 
     def predict(self, cases: Cases) -> dict[str, Array]:
@@ -98,7 +105,9 @@ class Unchanged(_WithOutlet):
         resistance = _fitted(self._resistance)
         flow = np.repeat(cases.inflow[:, :, None], cases.n_points, axis=2)
         area = np.repeat(cases.area_undeformed[:, None, :], cases.n_times, axis=1)
-        return {"flow": flow, "area": area, "pressure": resistance * flow}
+        stress = poiseuille_wall_shear_stress(flow, area)
+        found = {"flow": flow, "area": area, "pressure": resistance * flow}
+        return found | {"wall_shear_stress": stress}
 
 
 @dataclass(eq=False)
@@ -136,7 +145,7 @@ class Solver1D(_WithOutlet):
         steps = cases.n_times * max(5, ceil(Tube1D.steps / cases.n_times))
         tube = Tube1D(wall=self.wall, n_times=cases.n_times, steps=steps)
         solved = tube.solve_like(cases, outlet, stenosis_length=self.stenosis_length)
-        return {name: getattr(solved, name) for name in VARIABLES}
+        return solved.variables()
 
 
 def seeley_young(flow: Array, rate: Array, healthy: Array, throat: Array, length: float) -> Array:
@@ -177,9 +186,9 @@ class ResponseSurface:
     """Polynomial for each value on the grid, in principal components of the inputs.
 
     The inputs are the inflow waveform and the undeformed area.  Each is described by the
-    scores of its principal components (SVD of the training cases).  Flow, area and
-    pressure at each time point and point are polynomials in the scores, fitted by least
-    squares.
+    scores of its principal components (SVD of the training cases).  The variables of the
+    training cases at each time point and point are polynomials in the scores, fitted by
+    least squares.
 
     Parameters
     ----------
@@ -237,7 +246,8 @@ class ResponseSurface:
         inverse = np.linalg.pinv(features)
         self._axes, self._grid = axes, train.grid
         self._coefficients = {
-            name: np.tensordot(inverse, getattr(train, name), axes=1) for name in VARIABLES
+            name: np.tensordot(inverse, values, axes=1)
+            for name, values in train.variables().items()
         }
         return self
 

@@ -12,7 +12,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
 from pcnde_bridge.data.selection import case_keys
-from pcnde_bridge.data.variables import FIELDS
+from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 
 AREA_MARGIN = 5
@@ -23,8 +23,8 @@ POOLED = "pooled"
 
 _DERIVED = {"pressure_drop": pressure_drop, "one_minus_ffr": one_minus_ffr}
 
-ERRORS = (*FIELDS, *_DERIVED, "time_averaged_wall_shear_stress")
-"""Names of all errors."""
+ERRORS = (*VARIABLES, *_DERIVED, "wall_shear_stress", "time_averaged_wall_shear_stress")
+"""Names of all errors, in their order in tables."""
 
 
 def relative_error(predicted: Array, reference: Array) -> float:
@@ -124,7 +124,7 @@ def _pairs(predicted: Mapping[str, Array], cases: Cases) -> dict[str, tuple[Arra
     if "wall_shear_stress" in pairs:
         values, truth = (np.abs(stress).mean(axis=1) for stress in pairs["wall_shear_stress"])
         pairs["time_averaged_wall_shear_stress"] = values, truth
-    return pairs
+    return {name: pairs[name] for name in ERRORS if name in pairs}
 
 
 def _error(name: str, values: Array, truth: Array) -> float:

@@ -295,6 +295,26 @@ def test_evaluate_without_a_split(folder, tmp_path, run, small_model, small_case
         assert json.loads(as_json.read_text()) == {"all": expected}
 
 
+def test_bench_with_a_wall_shear_stress(folder, tmp_path, run, small_model, sheared_cases):
+    sheared_cases.save(data := tmp_path / "cases.npz")
+    code, printed, _ = run(
+        "bench", data, "--model", folder / "model.pcnde", "--split", "none", "--engine", "jax",
+        "--json", tmp_path / "rows.json",
+    )  # fmt: skip
+    assert code == 0
+    lines = {line.split("│")[1].strip(): line for line in printed.splitlines() if "│" in line}
+    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert rows[0]["errors"]["train"] == small_model.evaluate(sheared_cases).iloc[-1].to_dict()
+    assert lines["PCNDE (jax), train"].count("–") == 2  # the paper's model does not predict it
+    errors = rows[1]["errors"]["train"]
+    for name in ("wall_shear_stress", "time_averaged_wall_shear_stress"):
+        assert f"{errors[name]:.4f}" in lines["no change, train"]
+    assert "WSS" in printed
+    assert "TAWSS" in printed
+    assert f"{rows[1]['predict_ms_per_case']:.2f}" in lines["no change"]
+    assert max(map(len, lines.values())) <= 80
+
+
 def test_evaluate_refuses(folder, tmp_path, run, small_cases):
     model, cases = folder / "model.pcnde", folder / "cases.npz"
 

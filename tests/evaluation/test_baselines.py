@@ -9,7 +9,7 @@ from pcnde_bridge import (
     Cases,
     InputError,
 )
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.evaluation.baselines import (
     FEM_WALL,
     DropRegression,
@@ -19,6 +19,7 @@ from pcnde_bridge.evaluation.baselines import (
     Unchanged,
     standard_baselines,
 )
+from pcnde_bridge.evaluation.benchmark import bench_baseline
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.solver import Tube1D
@@ -58,8 +59,10 @@ def test_unchanged(small_cases):
         assert found["flow"][case, time_point, point] == inflow
         assert found["area"][case, time_point, point] == test.area_undeformed[case, point]
         np.testing.assert_allclose(found["pressure"][case, time_point, point], resistance * inflow)
+    stress = 4 * 0.04 * found["flow"] / np.sqrt(found["area"] ** 3 / np.pi)
+    np.testing.assert_allclose(found["wall_shear_stress"], stress, rtol=1e-14)
     assert {name: values.shape for name, values in found.items()} == dict.fromkeys(
-        VARIABLES, test.flow.shape
+        FIELDS, test.flow.shape
     )
 
 
@@ -71,6 +74,14 @@ def test_polynomial_finds_a_polynomial_outside_its_cases():
     for variable in VARIABLES:
         truth = getattr(outside, variable)
         np.testing.assert_allclose(found[variable], truth, rtol=1e-8)
+
+
+def test_wall_shear_stress_of_polynomial_and_regression(sheared_cases):
+    sets = {"train": sheared_cases}
+    for method in (ResponseSurface(2, 2), DropRegression(1, base=ResponseSurface(2, 2))):
+        errors = bench_baseline("polynomial", method, sets).errors["train"]
+        assert list(errors)[-2:] == ["wall_shear_stress", "time_averaged_wall_shear_stress"]
+        assert errors["wall_shear_stress"] < 0.05
 
 
 def test_polynomial_of_degree_0_is_the_mean_and_of_degree_1_a_straight_line():
