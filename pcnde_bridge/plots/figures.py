@@ -179,7 +179,8 @@ def _fourier_effect(data: FigureData) -> Drawn:
 
 
 def _noise(data: FigureData, noisy: studies.NoisyInput) -> Drawn:
-    return _drawn(plots.noise, studies.noise_study(data.model, data.hardest, noisy), data)
+    study = studies.noise_study(data.model, data.hardest, noisy, executor=data.executor)
+    return _drawn(plots.noise, study, data)
 
 
 def _activations(data: FigureData) -> Drawn:

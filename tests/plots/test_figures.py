@@ -297,13 +297,13 @@ def test_pcnde_figures_with_workers(run_pcnde, files, without_pictures, monkeypa
         return ThreadPoolExecutor(workers)
 
     monkeypatch.setattr("pcnde_bridge.cli.predict.processes", pool)
-    noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "activations")
+    noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
     assert run_pcnde(*noise, "--out", files / "one")[0] == 0
     assert made == []
     assert run_pcnde(*noise, "--out", files / "two", "--workers", "2")[0] == 0
     assert made == [2]
     for folder in ("one", "two"):
-        assert [path.name for path in (files / folder).iterdir()] == ["activations.png"]
+        assert [path.name for path in (files / folder).iterdir()] == ["noise-inflow.png"]
 
 
 def test_pcnde_figures_reports_errors(run_pcnde, files):

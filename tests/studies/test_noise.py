@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from pcnde_bridge import PCNDE, InputError
 from pcnde_bridge.model.prediction import Prediction
-from pcnde_bridge.studies import noise_study
+from pcnde_bridge.studies import (
+    noise_study,
+)
 from pcnde_bridge.studies.noise import noisy_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore::pcnde_bridge.OutsideTrainingWarning")
@@ -34,13 +39,14 @@ def test_noise_equals_a_direct_loop(toy_model, hardest, noisy, samples):
 
 
 def test_noise_has_its_size_and_leaves_the_other_input(hardest):
-    inflow, area = noisy_inputs(hardest, "inflow", 0.05, 4000, 1)
-    np.testing.assert_array_equal(area, np.repeat(hardest.area_undeformed, 4000, axis=0))
+    inflow, area = noisy_inputs(hardest, "inflow", 0.05, 4000, 1, exact=2)
+    np.testing.assert_array_equal(area, np.repeat(hardest.area_undeformed, 4002, axis=0))
+    np.testing.assert_array_equal(inflow[:2], np.repeat(hardest.inflow, 2, axis=0))
     size = 0.05 * hardest.inflow.max()
-    np.testing.assert_allclose(inflow.std(axis=0), size, rtol=0.06)
-    np.testing.assert_allclose(inflow.mean(axis=0), hardest.inflow[0], atol=0.1 * size)
+    np.testing.assert_allclose(inflow[2:].std(axis=0), size, rtol=0.06)
+    np.testing.assert_allclose(inflow[2:].mean(axis=0), hardest.inflow[0], atol=0.1 * size)
     # Every time point has independent noise.
-    correlation = np.corrcoef((inflow - hardest.inflow).T) - np.eye(inflow.shape[1])
+    correlation = np.corrcoef((inflow[2:] - hardest.inflow).T) - np.eye(inflow.shape[1])
     assert np.abs(correlation).max() < 0.1
 
 
@@ -53,6 +59,33 @@ def test_noisy_areas_stay_positive(hardest):
 def test_no_noise_no_deviation(toy_model, hardest):
     study = noise_study(toy_model, hardest, level=0.0, samples=3)
     assert max(study.spread().values()) < 1e-14
+
+
+def test_noise_in_an_executor_gives_the_same_bits(toy_model, hardest):
+    here = noise_study(toy_model, hardest, samples=70)
+    with ThreadPoolExecutor(2) as executor:
+        there = noise_study(toy_model, hardest, samples=70, executor=executor)
+    for name in here.mean:
+        np.testing.assert_array_equal(here.mean[name], there.mean[name])
+        np.testing.assert_array_equal(here.standard_deviation[name], there.standard_deviation[name])
+
+
+def test_tasks_can_be_sent_to_processes(small_model, hardest):
+    """Arguments of the tasks can be pickled, and give the same result."""
+    sent = []
+
+    class Process(Executor):
+        def submit(self, function, /, *arguments):
+            again, *rest = pickle.loads(pickle.dumps((function, *arguments)))  # noqa: S301
+            sent.append(rest)
+            future = Future()
+            future.set_result(again(*rest))
+            return future
+
+    there = noise_study(small_model, hardest, samples=11, executor=Process())
+    here = noise_study(small_model, hardest, samples=11)
+    assert len(sent) == 1  # eleven samples are one task
+    np.testing.assert_array_equal(here.standard_deviation["flow"], there.standard_deviation["flow"])
 
 
 @pytest.mark.parametrize(
