@@ -209,12 +209,12 @@ def run_pcnde(monkeypatch, capsys):
 @pytest.fixture
 def commands(small_cases, config, engine, tmp_path, monkeypatch, run_pcnde):
     """Run ``pcnde`` in this process, with the fixtures ``config`` and ``engine`` of the file."""
-    from pcnde_bridge.cli import train
+    from pcnde_bridge._utils import parallel
     from pcnde_bridge.model import fit_task, pcnde, predictor
 
     for module in (fit_task, pcnde, predictor):
         monkeypatch.setattr(module, "select_engine", lambda *_, **__: engine)
-    monkeypatch.setattr(train, "processes", lambda workers: None)
+    monkeypatch.setattr(parallel, "processes", lambda workers: None)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(engine.flow, "fits", [])
     small_cases.save("cases.npz")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +35,23 @@ def test_no_engine_and_no_plotting_is_imported(code):
         [sys.executable, "-c", f"{code}\n{check}"], capture_output=True, text=True, check=True
     )
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("module", ["pcnde_bridge", "pcnde_bridge.cli.main"])
+def test_neither_numpy_nor_pandas_is_imported(module):
+    check = f"import sys, {module}; print([m for m in ('numpy', 'pandas') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_public_names_for_type_checkers_are_those_at_run_time():
+    """The names that are imported for type checkers come from the same modules."""
+    tree = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    named = {alias.name: node.module for node in block.body for alias in node.names}
+    assert {*named, "__version__"} == set(pcnde_bridge.__all__)
+    for name, module in named.items():
+        assert getattr(pcnde_bridge, name) is getattr(importlib.import_module(module), name)
 
 
 def test_public_names_exist_and_are_listed():

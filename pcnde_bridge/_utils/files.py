@@ -12,12 +12,14 @@ import shutil
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
-from pcnde_bridge._typing import StrPath
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pcnde_bridge._typing import StrPath
 
 # Uncompressed or lightly compressed contents are expected; deflate packs zeros a thousandfold.
 # Contents are copied several times on their way into a data set.

@@ -1,21 +1,93 @@
-"""Context for all calls of JAX: double precision, and a reliable Ctrl-C."""
+"""Context for all calls of JAX: double precision, Ctrl-C, and compiled functions on disk.
+
+JAX stores compiled functions in a folder and loads them in the next process, so that a second
+fit compiles nothing.  Its keys contain the function, JAX's version and its options.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
+import platform
+import shutil
+import stat
+import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 from pcnde_bridge._utils import interrupts
+from pcnde_bridge._utils.files import cache_folder
 from pcnde_bridge.errors import EngineError
+
+_SHORTEST_COMPILATION = 0.1  # s; loading a function takes about 0.01 s
+_LARGEST_CACHE, _FREE_SPACE = 1 << 30, 1 << 29  # bytes
 
 
 @cache
 def _process() -> int:
     """Return the identifier of the process in which JAX first computed."""
     return os.getpid()
+
+
+@cache
+def _store_compiled_functions() -> None:
+    """Let JAX store compiled functions, unless the user has named a folder or switched it off.
+
+    A folder that other users can write to is not used, because JAX runs what it finds there.
+    Damaged files and failures to write only cost time; JAX's warnings about them are ignored.
+    """
+    import jax
+
+    settings: Any = jax.config
+    named = settings.jax_compilation_cache_dir is not None
+    if named or not settings.jax_enable_compilation_cache:
+        return
+    folder = cache_folder(None) / "compiled" / _machine()
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _remove_oldest(folder)
+        if _is_private(folder) and shutil.disk_usage(folder).free > _FREE_SPACE:
+            message = "Error (reading|writing) persistent compilation cache entry"
+            warnings.filterwarnings("ignore", message)
+            settings.update("jax_compilation_cache_dir", str(folder))
+            minimum = "jax_persistent_cache_min_compile_time_secs"
+            settings.update(minimum, _SHORTEST_COMPILATION)
+
+
+def _machine() -> str:
+    """Return a key of what compiled functions depend on and JAX's keys may not contain.
+
+    It is a checksum of the processor's instruction sets and of the number of threads.
+    """
+    described = platform.machine() + platform.processor()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        described += next((x for x in lines if x.lower().startswith(("flags", "features"))), "")
+    affinity = getattr(os, "sched_getaffinity", None)
+    threads = os.environ.get("NPROC") or (len(affinity(0)) if affinity else os.cpu_count())
+    return hashlib.sha256(f"{described} {threads}".encode()).hexdigest()[:16]
+
+
+def _is_private(folder: Path) -> bool:
+    """Return whether only this user, who can, may write to a folder."""
+    found = folder.stat()
+    owned = not hasattr(os, "getuid") or found.st_uid == os.getuid()  # Windows has no owners
+    shared = os.name == "posix" and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return owned and not shared and os.access(folder, os.W_OK)
+
+
+def _remove_oldest(folder: Path) -> None:
+    """Remove the oldest files until the rest is not larger than the largest cache."""
+    files = [(file.stat(), file) for file in folder.iterdir()]
+    size = 0
+    for found, file in sorted(files, key=lambda pair: -pair[0].st_mtime):
+        size += found.st_size
+        if size > _LARGEST_CACHE:
+            file.unlink()
 
 
 @contextmanager
@@ -39,6 +111,7 @@ def double_precision() -> Iterator[None]:
         )
     import jax
 
+    _store_compiled_functions()
     # Newer versions of JAX have it at the top level, older ones only under "experimental".
     module = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
     with (

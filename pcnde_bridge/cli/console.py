@@ -6,16 +6,18 @@ such as ``model[fast].npz``.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import pandas as pd
 import typer
 from rich.console import Console
 from rich.table import Table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _PLAIN: dict[str, Any] = dict.fromkeys(("markup", "emoji", "highlight"), False)
 _out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (False, True))
@@ -54,7 +56,7 @@ def show_numbers(
     titles = numbers.rename(columns=_SHORT_TITLES).columns
     table = Table(title, *titles, padding=(0, padding, 0, 0))
     for name, *values in numbers.itertuples():
-        table.add_row(name, *("–" if np.isnan(v) else f"{v:.{digits}f}" for v in values))
+        table.add_row(name, *("–" if math.isnan(v) else f"{v:.{digits}f}" for v in values))
     show(table)
 
 

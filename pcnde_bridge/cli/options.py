@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from pandas.api.types import is_numeric_dtype
 
 from pcnde_bridge._utils.files import check_writable, read_json
-from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.cli.console import note
 from pcnde_bridge.config import PRESETS, Config, resolve_config
-from pcnde_bridge.data.cases import Cases, Split
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.io.datasets import DATASETS
+
+if TYPE_CHECKING:
+    from pcnde_bridge.data.cases import Cases, Split
 
 
 def option(default: Any, help: str, *names: str, **settings: Any) -> Any:
@@ -55,11 +54,15 @@ def settings_of(preset: str, path: Path | None) -> Config:
 
 def split_name(data: str, split: str | None) -> str:
     """Return ``--split``: by default, only data sets with a split of their own are divided."""
+    from pcnde_bridge.io.datasets import DATASETS
+
     return split or ("paper" if data in DATASETS else "none")
 
 
 def split_of(cases: Cases, data: str, split: str | None, whole: str = "train") -> dict[str, Cases]:
     """Return the sets of ``--split``: train and test, or ``whole`` without a split."""
+    from pcnde_bridge._utils.validation import counted
+
     if (split := split_name(data, split)) == "none":
         use = "training cases" if whole == "train" else "evaluated"
         note(f"All {counted(len(cases), 'case')} are {use}: --split holds out test cases.")
@@ -72,6 +75,8 @@ def split_of(cases: Cases, data: str, split: str | None, whole: str = "train") -
 
 def _divided(cases: Cases, split: str) -> Split:
     """Divide the cases by a fraction, by ``label=value,…``, or as :meth:`Cases.split` does."""
+    from pandas.api.types import is_numeric_dtype
+
     name, equals, text = split.partition("=")
     if equals and name in cases.labels:
         convert = _number if is_numeric_dtype(cases.labels[name]) else str

@@ -5,26 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import typer
 from rich.table import Table
 
 from pcnde_bridge._utils.files import write_csv, write_json
-from pcnde_bridge._utils.parallel import processes
-from pcnde_bridge._utils.validation import counted, positive
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, say, show, show_numbers
 from pcnde_bridge.cli.options import check_outputs, option, split_of, units_of
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.io.datasets import load_cases
-from pcnde_bridge.io.predictions import check_target, save_csv
-from pcnde_bridge.model.ensemble import Ensemble, load_model
-from pcnde_bridge.model.metrics import pooled
-from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.model.prediction import Prediction
+
+if TYPE_CHECKING:
+    from pcnde_bridge.model.prediction import Prediction
 
 _IN_MEMORY = 256  # predictions of single cases, with their samples, while a table is written
 
@@ -55,6 +49,12 @@ def evaluate(
     csv: Path | None = option(None, "Also write the errors of every case."),
 ) -> None:
     """Print relative errors of a model on a data set."""
+    import pandas as pd
+
+    from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.model.ensemble import load_model
+    from pcnde_bridge.model.metrics import pooled
+
     check_outputs(json_file, csv, inputs=[model, Path(data)])
     fitted = load_model(model, engine)
     sets = split_of(load_cases(data), data, split, whole="all")
@@ -97,7 +97,12 @@ def predict(
     A model of the preset physics accepts any equally spaced time points of a cycle and any
     points along the vessel; other models need those of their training.
     """
+    import pandas as pd
+
+    from pcnde_bridge._utils.validation import counted, positive
     from pcnde_bridge.io.input_tables import read_inputs
+    from pcnde_bridge.io.predictions import check_target, save_csv
+    from pcnde_bridge.model.ensemble import Ensemble, load_model
 
     suffix = check_target(out, has_pressure=True)
     check_outputs(out, indices, inputs=[model, inflow, area])
@@ -150,6 +155,7 @@ def explore(
 ) -> None:
     """Explore a model on a web page, on this machine only."""
     from pcnde_bridge.app.server import serve
+    from pcnde_bridge.model.pcnde import PCNDE
 
     # Julia computes in one thread only, but a server has several.
     serve(PCNDE.load(model, "jax"), model.stem, port)
@@ -169,6 +175,9 @@ def figures(
 
     The numbers of most figures are written beside them.
     """
+    from pcnde_bridge._utils.parallel import processes
+    from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.model.pcnde import PCNDE
     from pcnde_bridge.plots.figures import COSTS, FigureData, choose, make_figures
 
     choose(only)

@@ -5,24 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from pcnde_bridge._utils.files import write_csv
-from pcnde_bridge._utils.parallel import processes
-from pcnde_bridge._utils.result_folder import remove_results
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, resumable, say, show_numbers
 from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_name, split_of
-from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
-from pcnde_bridge.evaluation import baselines, benchmark, cross_validation
-from pcnde_bridge.io.datasets import load_cases
-from pcnde_bridge.model.ensemble import Ensemble
-from pcnde_bridge.model.metrics import pooled
-from pcnde_bridge.model.pcnde import PCNDE
-from pcnde_bridge.training import checkpoint as checkpoints
+
+if TYPE_CHECKING:
+    from pcnde_bridge.evaluation.benchmark import Row
 
 _MODEL_SIZE = 1 << 22  # bytes; the largest of the presets' models has one megabyte
 
@@ -46,6 +39,15 @@ def fit(
     workers: int = options.WORKERS,
 ) -> None:
     """Train a model, or resume an interrupted run."""
+    import pandas as pd
+
+    from pcnde_bridge._utils.parallel import processes
+    from pcnde_bridge._utils.result_folder import remove_results
+    from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.model.ensemble import Ensemble
+    from pcnde_bridge.model.metrics import pooled
+    from pcnde_bridge.model.pcnde import PCNDE
+
     settings = settings_of(preset, config)
     check_outputs(out, checkpoint, size=members * _MODEL_SIZE, inputs=[Path(data)])
     if members > 1 and checkpoint is not None:
@@ -89,6 +91,13 @@ def cross_validate(
 
     Each fold holds out one waveform or one geometry of the training cases.
     """
+    import pandas as pd
+
+    from pcnde_bridge._utils.parallel import processes
+    from pcnde_bridge.data.variables import VARIABLES
+    from pcnde_bridge.evaluation import cross_validation
+    from pcnde_bridge.io.datasets import load_cases
+
     settings = settings_of(preset, config)
     check_outputs(csv, inputs=[Path(data)])
     train = split_of(load_cases(data), data, split)["train"]
@@ -121,6 +130,10 @@ def bench(
     checkpoint: Path | None = _CHECKPOINT,
 ) -> None:
     """Compare errors and times of a model with the baselines."""
+    from pcnde_bridge.evaluation import baselines, benchmark
+    from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.model.pcnde import PCNDE
+
     training = {"preset": preset != "paper", "config": config, "seed": seed}
     given = [f"--{k}" for k, value in {**training, "checkpoint": checkpoint}.items() if value]
     if model is not None and given:
@@ -158,6 +171,8 @@ def demo(
     engine: EngineName = options.ENGINE,
 ) -> None:
     """Simulate, train, evaluate and predict, in three minutes."""
+    import pandas as pd
+
     from pcnde_bridge.cli.demo import NEXT_STEPS, run_demo
 
     with resumable(f"The state of training is in {out}"):
@@ -171,6 +186,8 @@ def demo(
 @contextmanager
 def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
     """Yield the file for the state of training; the default one is removed after the block."""
+    from pcnde_bridge.training import checkpoint as checkpoints
+
     state = checkpoint or default
     if state.exists():
         note(f"Continuing from {state}.")
@@ -180,8 +197,10 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
         checkpoints.remove(state)
 
 
-def _show_rows(rows: list[benchmark.Row]) -> None:
+def _show_rows(rows: list[Row]) -> None:
     """Print errors and times of each method, then why some methods were not applicable."""
+    import pandas as pd
+
     errors = {f"{row.name}, {name}": row.errors[name] for row in rows for name in row.errors}
     times = {
         row.name: {"fit, s": row.fit_seconds, "predict, ms/case": row.predict_ms_per_case}

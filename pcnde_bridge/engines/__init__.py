@@ -6,16 +6,18 @@ Engines know arrays only; :func:`select_engine` starts one of them.
 from __future__ import annotations
 
 import logging
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 from pcnde_bridge._utils import interrupts
-from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 
-__all__ = ["Engine", "EngineChoice", "EngineName", "select_engine"]
+if TYPE_CHECKING:
+    from pcnde_bridge.engines.protocol import Engine
+
+__all__ = ["EngineChoice", "EngineName", "select_engine"]
 
 EngineName = Literal["auto", "julia", "jax"]
-EngineChoice = EngineName | Engine
+EngineChoice: TypeAlias = "EngineName | Engine"
 
 _log = logging.getLogger("pcnde_bridge")
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
@@ -69,9 +69,8 @@ class JaxClosures(Closures):
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
-        with double_precision():
-            vectors = others.wall, others.losses
-            vessels = _vessels(*vectors, area_undeformed, grid.z, config=_relevant(config))
+        vessels, which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
+        vessels = jax.tree.map(lambda modes: modes[which], vessels)
         fixed = others.outlet, others.wall, points, grid.period
         return _problem(_flow, (vessels, inflow), fixed, config)
 
@@ -87,12 +86,7 @@ class JaxClosures(Closures):
         settings, count = _relevant(config), len(inflow)
         shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
-        # Many waveforms usually share few vessels.
-        vessel_of = [s.tobytes() for s in area_undeformed]
-        distinct = sorted(set(vessel_of))
-        vessels = _distinct_vessels(parameters, b"".join(distinct), grid.z.tobytes(), settings)
-        row = {vessel: number for number, vessel in enumerate(distinct)}
-        which = np.array([row[vessel] for vessel in vessel_of])
+        vessels, which = _vessels_of(parameters, area_undeformed, grid.z, settings)
 
         def compute(start: int) -> Array:
             rows = slice(start, start + _BATCH)
@@ -121,18 +115,30 @@ class JaxClosures(Closures):
         return result
 
 
+def _vessels_of(
+    parameters: ClosureParameters, area_undeformed: Array, z: Array, config: ClosureConfig
+) -> tuple[VesselModes, IntArray]:
+    """Return the distinct vessels, and which of them each case has: waveforms share vessels."""
+    vessel_of = [s.tobytes() for s in area_undeformed]
+    distinct = sorted(set(vessel_of))
+    row = {vessel: number for number, vessel in enumerate(distinct)}
+    which = np.array([row[vessel] for vessel in vessel_of])
+    key = parameters.wall.tobytes(), parameters.losses.tobytes(), b"".join(distinct), z.tobytes()
+    return _distinct_vessels(*key, config), which
+
+
 @lru_cache(maxsize=1)
 def _distinct_vessels(
-    parameters: ClosureParameters, area_undeformed: bytes, z: bytes, config: ClosureConfig
+    wall: bytes, loss: bytes, area_undeformed: bytes, z: bytes, config: ClosureConfig
 ) -> VesselModes:
     """Integrate along vessels; consecutive predictions often have the same ones."""
-    points = np.frombuffer(z)
+    points, vectors = np.frombuffer(z), (np.frombuffer(wall), np.frombuffer(loss))
     areas = np.frombuffer(area_undeformed).reshape(-1, points.size)
     parts = []
     with double_precision():
         for start in range(0, len(areas), _BATCH):
             s_u = _padded(areas[start : start + _BATCH])
-            modes = _vessels(parameters.wall, parameters.losses, s_u, points, config=config)
+            modes = _vessels(*vectors, s_u, points, config=config)
             parts.append(jax.tree.map(np.asarray, modes))
     vessels: VesselModes = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     return vessels
@@ -234,8 +240,10 @@ def _value_and_jacobian(
     def values(x: jax.Array) -> jax.Array:
         return jax.vmap(lambda *case: function(x, case, fixed, config))(*cases)
 
-    value, push = jax.linearize(values, parameters)
-    return value, jax.vmap(push, out_axes=-1)(jnp.eye(parameters.size))
+    def push(tangent: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(values, (parameters,), (tangent,))
+
+    return jax.vmap(push, out_axes=(None, -1))(jnp.eye(parameters.size))
 
 
 def _problem(
