@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -115,10 +116,10 @@ class Explorer:
         if self.samples:
             self.comparisons = {"interval": self.interval, **self.comparisons}
 
-    @property
+    @cached_property
     def variables(self) -> list[str]:
         """Names of the variables that the model predicts."""
-        return [name for name in QUANTITIES if name != "pressure" or self.model.has_pressure]
+        return list(self.prediction(self.choices.initial).variables())
 
     def _predict(self, inputs: Inputs, samples: int = 0) -> Prediction:
         grid, any_grid = self.model.grid, self.model.any_grid
@@ -194,11 +195,11 @@ class Explorer:
         for name in self.variables:
             factor = QUANTITIES[name].factor
             panel = {"prediction": Line(x, factor * getattr(found, name)[cut])}
-            if isinstance(limits, Mapping):
+            if isinstance(limits, Mapping) and name in limits:
                 low, high = (factor * limit[cut] for limit in limits[name])
                 there_and_back = (x, x[::-1]), (low, high[::-1])
                 panel["interval"] = Line(*map(np.concatenate, there_and_back))
-            if isinstance(cases, Cases):
+            if isinstance(cases, Cases) and name in cases.variables():
                 panel["solver"] = _solved(cases, factor * getattr(cases, name)[0], found, cut)
             if name in given:
                 panel["given"] = Line(x, factor * given[name])

@@ -148,6 +148,7 @@ def _column(
         responsive=True,
         config={"displaylogo": False, "displayModeBar": False},
         className="graph",
+        style={"--rows": len(explorer.variables)},
     )
     heading = html.Div([html.H3(id=f"{name}-title"), slider], className="place")
     return html.Div([heading, graph], className="column")
@@ -160,7 +161,8 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
     for row, name in enumerate(names, start=1):
         for trace in _TRACES.values():
             figure.add_trace(go.Scatter(x=[], y=[], mode="lines", **trace), row=row, col=1)
-        figure.update_yaxes(title_text=QUANTITIES[name].label, row=row, col=1)
+        label = "{}<br>({})".format(*QUANTITIES[name])
+        figure.update_yaxes(title={"text": label, "font_size": 12}, row=row, col=1)
     figure.update_xaxes(title_text=abscissa, row=len(names), col=1)
     axis = {"gridcolor": _RULE, "zeroline": False, "showline": True, "linecolor": _AXIS}
     figure.update_xaxes(**axis)
@@ -171,7 +173,7 @@ def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:
         template="none",
         showlegend=False,
         font={"family": "system-ui, sans-serif", "size": 13, "color": _INK},
-        margin={"l": 64, "r": 12, "t": 8, "b": 44},
+        margin={"l": 72, "r": 12, "t": 8, "b": 44},
         paper_bgcolor="white",
         plot_bgcolor="white",
         hovermode="x",

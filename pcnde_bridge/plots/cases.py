@@ -9,7 +9,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import AREA_MARGIN
 from pcnde_bridge.model.prediction import Prediction
@@ -106,7 +106,7 @@ def time_and_space(
         raise InputError(f"There are {len(cases)} cases, but {len(prediction)} are predicted.")
     shown = style.locate(cases, case, position)
     predicted = {name: values[case] for name, values in prediction.variables().items()}
-    truth = {name: getattr(cases, name)[case] for name in predicted}
+    truth = {name: values[case] for name, values in cases.variables().items()}
     size = 8, 2.4 * len(predicted)
     figure, rows = style.time_and_space_figure(*size, list(predicted), cases, *shown)
     markers = {"ls": "none", "marker": "o", "ms": 3, "mfc": "none", "color": style.TRUTH}
@@ -131,7 +131,7 @@ def results(
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Flow, area and pressure that a model predicts, or some of them.
+        Variables that a model predicts, or some of them.
     cases : Cases
         The truth; the paper shows its narrowest geometry with all waveforms.
     other : mapping of str to array of shape (case, time, z), optional
@@ -157,11 +157,10 @@ def results(
     InputError
         If the numbers of cases differ, or there is no such case, position or time point.
     """
-    names = [name for name in VARIABLES if name in predicted]
-    truth = {name: getattr(cases, name) for name in names}
+    names = [name for name in FIELDS if name in predicted]
     # The prediction is drawn last, above the others.
     methods = [
-        (truth, truth_label, style.TRUTH_LINE),
+        (cases.variables(), truth_label, style.TRUTH_LINE),
         (other or {}, "1D solver", style.OTHER_LINE),
         (predicted, "PCNDE", style.MODEL_LINE),
     ]

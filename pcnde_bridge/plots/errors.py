@@ -163,6 +163,6 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
             axis.plot([number + 1] * 2, ends, ":", lw=1, color="black")
             axis.plot(number + 1, box["largest"], "x", ms=6, color="black")
         axis.set_title(style.QUANTITIES[name].name, fontsize=10)
-        axis.set_ylim(bottom=0)
+    axes[0, 0].set_ylim(bottom=0)  # of all panels
     axes[0, 0].set_ylabel("pointwise relative error (%)")
     return figure

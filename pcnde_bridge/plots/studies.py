@@ -163,7 +163,7 @@ def noise(
         for axis, x, cut in panels:
             limits = mean[cut] - width[cut], mean[cut] + width[cut]
             axis.fill_between(x, *limits, label="± standard deviation", **band)
-    truth = {name: getattr(case, name)[0] for name in names}
+    truth = {name: values[0] for name, values in case.variables().items()}
     style.plot_rows(rows, truth, truth_label, {"ls": "-", "lw": 1.4, "color": style.TRUTH})
     look = {"ls": "--", "lw": 1.4, "color": style.PREDICTED}
     style.plot_rows(rows, study.mean, "mean of PCNDE", look)

@@ -1,8 +1,8 @@
 """Colors, units, labels and layout that all figures share.
 
 The colors are Okabe and Ito's, which color-blind readers can tell apart; each method also
-has a line style of its own, for print without colors.  Figures use mL/s, mm² and mmHg,
-whatever the units of the arrays.
+has a line style of its own, for print without colors.  Figures use mL/s, mm², mmHg and
+dyn/cm² (wall shear stress), whatever the units of the arrays.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ QUANTITIES = {
     "flow": Quantity("flow Q", "mL/s", 1.0),
     "area": Quantity("area S", "mm²", 100.0),
     "pressure": Quantity("pressure p", "mmHg", 1 / MMHG),
+    "wall_shear_stress": Quantity("wall shear stress τ", "dyn/cm²", 1.0),
 }
 """Quantity of each variable."""
 

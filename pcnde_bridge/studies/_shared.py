@@ -24,9 +24,11 @@ def check_shape(variable: str, values: Array, cases: Cases) -> Array:
     Raises
     ------
     InputError
-        If the shapes differ.
+        If the cases do not have the variable, or the shapes differ.
     """
-    truth: Array = getattr(cases, variable)
+    truth = cases.variables().get(variable)
+    if truth is None:
+        raise InputError(f"The cases have no {variable}: leave it out of the prediction.")
     validation.check_shape(f"The predicted {variable}", values, truth.shape, "case, time, z")
     return truth
 

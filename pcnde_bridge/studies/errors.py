@@ -24,7 +24,7 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     Parameters
     ----------
     predicted : mapping of str to array of shape (case, time, z)
-        Any of flow, area and pressure.
+        Any of the variables.
     cases : Cases
         The truth.
 
@@ -38,6 +38,7 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     return {
         str(name): table[name].unstack("waveform").sort_index().sort_index(axis=1)
         for name in predicted
+        if name in table
     }
 
 
@@ -50,10 +51,9 @@ class PointwiseErrors:
     case : Cases
         The truth, a single case.
     predicted : mapping of str to array of shape (time, z)
-        Flow (mL/s), area (cm²) and pressure (dyn/cm²).
+        Flow (mL/s), area (cm²), pressure and wall shear stress (dyn/cm²).
     distance : mapping of str to array of shape (time, z)
-        |Q − Q_GT| (mL/s) for flow, |S − S_GT|/S_GT(t=0) for area, and |p − p_GT|
-        (dyn/cm²) for pressure.
+        |S − S_GT|/S_GT(t=0) for area, |Y − Y_GT| for the others, such as flow (mL/s).
     """
 
     case: Cases = field(repr=False)
@@ -85,7 +85,7 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     Parameters
     ----------
     predicted : mapping of str to array of shape (1, time, z)
-        Any of flow, area and pressure.
+        Any of the variables.
     case : Cases
         The truth, a single case.
 
@@ -113,7 +113,7 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     Parameters
     ----------
     predicted : mapping of str to mapping of str to array of shape (case, time, z)
-        For each method, any of flow, area and pressure.
+        For each method, any of the variables.
     cases : Cases
         The truth.
 

@@ -24,6 +24,7 @@ from pcnde_bridge import (
 from pcnde_bridge.app import server
 from pcnde_bridge.app.explorer import Explorer
 from pcnde_bridge.app.inputs import Choices, read_waveform
+from pcnde_bridge.app.page import empty_figure
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.hemodynamics.waveform import Waveform
@@ -173,6 +174,25 @@ def test_curves_equal_the_predictions_and_include_cached_results(model, explorer
         assert over[name]["solver"].y == pytest.approx(solved[:, 75], rel=1e-9)
     assert "solver" not in explorer.curves(other, "along", 5)["flow"]
     assert explorer.interval.cached(other) is None
+
+
+def test_a_panel_of_wall_shear_stress(model, bound, monkeypatch):
+    def solve(self, inputs):
+        found = unsheared(self, inputs)
+        return dataclasses.replace(found, wall_shear_stress=found.poiseuille_wall_shear_stress())
+
+    unsheared = PCNDE._solve
+    assert Explorer(bound).variables[:3] == ["flow", "area", "pressure"]
+    monkeypatch.setattr(PCNDE, "_solve", solve)
+    explorer = Explorer(model, samples=8)
+    assert explorer.variables == ["flow", "area", "pressure", "wall_shear_stress"]
+    inputs = explorer.choices.initial
+    explorer.interval(inputs), explorer.solution(inputs)
+    panel = explorer.curves(inputs, "over", 30)["wall_shear_stress"]
+    expected = explorer.prediction(inputs).poiseuille_wall_shear_stress()[0, :, 30]
+    assert np.array_equal(panel["prediction"].y, expected)
+    assert len(empty_figure(explorer, "t").data) == 4 * 4
+    assert "wall_shear_stress" in explorer.csv(inputs).partition("\n")[0]
 
 
 def test_solver_has_the_models_wall_and_outlet(explorer, bound):
@@ -376,7 +396,7 @@ def page(bench, model):
 def drawn(bench, page, column, trace="prediction"):
     """Return the ordinates of a trace in every panel, by variable."""
     found = [t["y"] for t in bench.curves(page, column) if t["name"] == trace]
-    return dict(zip(("flow", "area", "pressure"), map(np.array, found), strict=True))
+    return dict(zip(QUANTITIES, map(np.array, found), strict=False))
 
 
 def chosen(page, control):
@@ -390,8 +410,8 @@ def assert_drawn(bench, page, model, inputs):
     time_point, grid_point = (int(chosen(page, name)) for name in ("time-point", "grid-point"))
 
     def as_predicted():
-        for name, factor in FACTORS.items():
-            values = getattr(found, name)[0] * factor
+        for name, array in found.variables().items():
+            values = array[0] * FACTORS[name]
             for column, y in (("along", values[time_point]), ("over", values[:, grid_point])):
                 if not np.allclose(drawn(bench, page, column)[name], y, rtol=0, atol=2e-6):
                     return False
@@ -410,7 +430,7 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     inputs = choices.inputs(chosen(page, "blockage") / 100, choices.scale.start)
     assert_drawn(bench, page, model, inputs)
     after = drawn(bench, page, "along")
-    assert all(not np.allclose(before[name], after[name], rtol=1e-6, atol=0) for name in FACTORS)
+    assert all(not np.allclose(before[name], after[name], rtol=1e-6, atol=0) for name in before)
     # Interval and solver follow later.
     bench.wait_for(lambda: bench.settled(page))
     limits = predicted(model, inputs, samples=64).interval(0.9)["pressure"]

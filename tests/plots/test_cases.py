@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from plot_helpers import MMHG, MODEL, OTHER, TRUTH, drawn, fits, texts
@@ -70,3 +72,19 @@ def test_results_without_pressure_or_other_method(predicted, small_cases):
     figure = fits(plots.results({"flow": predicted["flow"]}, small_cases))
     assert len(figure.axes) == 2
     assert texts(figure.legends[0]) == ["3D, averaged", "PCNDE"]
+
+
+def test_a_row_of_wall_shear_stress(prediction, predicted, sheared_cases, small_cases):
+    stress = {"wall_shear_stress": 1.1 * sheared_cases.wall_shear_stress}
+    figure = fits(plots.results(predicted | stress, sheared_cases))
+    over_time, along = figure.axes[6:]
+    assert over_time.get_ylabel() == "wall shear stress τ (dyn/cm²)"
+    np.testing.assert_allclose(drawn(along, MODEL), stress["wall_shear_stress"][:, 5])
+    np.testing.assert_allclose(drawn(along, TRUTH), sheared_cases.wall_shear_stress[:, 5])
+    sheared = dataclasses.replace(prediction, **stress)
+    for cases, curves in ((sheared_cases, 1), (small_cases, 0)):
+        figure = fits(plots.time_and_space(sheared, cases, 7))
+        assert len(figure.axes) == 8
+        assert len(drawn(figure.axes[6], TRUTH)) == curves
+    # A row for what is predicted only.
+    assert len(plots.time_and_space(prediction, sheared_cases, 7).axes) == 6

@@ -111,3 +111,12 @@ def test_box_statistics_need_a_truth_without_zeros(small_cases):
     )
     with pytest.raises(InputError, match="flow is 0 somewhere"):
         box_statistics({"mine": {"flow": flow}}, cases)
+
+
+def test_a_variable_that_the_cases_lack(sheared_cases, small_cases):
+    predicted = {"flow": small_cases.flow, "wall_shear_stress": sheared_cases.wall_shear_stress}
+    assert list(error_matrix(predicted, sheared_cases)) == list(predicted)
+    assert list(error_matrix(predicted, small_cases)) == ["flow"]
+    one = {name: values[:1] for name, values in predicted.items()}
+    with pytest.raises(InputError, match="no wall_shear_stress: leave it out of the prediction"):
+        pointwise_errors(one, small_cases.select(0))
