@@ -73,7 +73,7 @@ def time_and_space(
     prediction: Prediction,
     cases: Cases,
     case: int = 0,
-    position: float = 0.9,
+    position: float = style.POSITION,
     truth_label: str = "3D, averaged",
 ) -> Figure:
     """Plot one case over time near the outlet, and along the vessel at its peak inflow.
@@ -123,8 +123,8 @@ def results(
     other: Mapping[str, Array] | None = None,
     truth_label: str = "3D, averaged",
     area_case: int = -1,
-    position: float = 0.9,
-    time_point: float = 0.25,
+    position: float = style.POSITION,
+    time_point: float = style.TIME_POINT,
 ) -> Figure:
     """Plot many cases over time and space (figure 4 a–c).
 

@@ -74,10 +74,7 @@ def pressure_drops(drops: studies.PressureDrops, *, truth_label: str = "3D, aver
 
 
 def fourier_effect(
-    effect: studies.FourierEffect,
-    case: int = 0,
-    position: float = 0.9,
-    truth_label: str = "3D, averaged",
+    effect: studies.FourierEffect, case: int = 0, truth_label: str = "3D, averaged"
 ) -> Figure:
     """Plot the area with and without the Fourier stage (figure 7 b).
 
@@ -87,24 +84,22 @@ def fourier_effect(
         Result of :func:`pcnde_bridge.studies.fourier_effect`.
     case : int
         Position of the case that is shown.
-    position : float
-        Position in the vessel, as a fraction of its length.
     truth_label : str
         Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Area over two cycles: the area of the Fourier stage repeats; the intermediate
-        area continues from the last cycle, with its drift over a cycle.
+        Area over two cycles, at 90 % of the length: the area of the Fourier stage repeats;
+        the intermediate area continues from the last cycle, with its drift over a cycle.
 
     Raises
     ------
     InputError
-        If there is no such case or position.
+        If there is no such case.
     """
     cases = effect.cases
-    z_index, _ = style.locate(cases, case, position)
+    z_index, _ = style.locate(cases, case, style.POSITION)
     time = np.concatenate([cases.time, cases.time + cases.period])
     first = effect.intermediate[case, :, z_index]
     intermediate = np.concatenate([first, first + effect.drift[case, z_index]])
@@ -123,38 +118,25 @@ def fourier_effect(
     return figure
 
 
-def noise(
-    study: studies.NoiseStudy,
-    position: float = 0.9,
-    time_point: float = 0.25,
-    truth_label: str = "3D, averaged",
-) -> Figure:
+def noise(study: studies.NoiseStudy, truth_label: str = "3D, averaged") -> Figure:
     """Plot mean and standard deviation of noisy predictions (figures 8 and 10).
 
     Parameters
     ----------
     study : NoiseStudy
         Result of :func:`pcnde_bridge.studies.noise_study`.
-    position : float
-        Position of the left column, as a fraction of the vessel length.
-    time_point : float
-        Time point of the right column, as a fraction of the cycle.
     truth_label : str
         Name of the truth, for the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A row for each variable, over time (left) and space (right), with axes of their
-        own; the band is one standard deviation on either side of the mean.
-
-    Raises
-    ------
-    InputError
-        If there is no such position or time point.
+        A row for each variable, over time at 90 % of the length (left) and over space after
+        a quarter of the cycle (right), with axes of their own; the band is one standard
+        deviation on either side of the mean.
     """
     case, names = study.case, list(study.mean)
-    shown = style.locate(case, 0, position, time_point)
+    shown = style.locate(case, 0, style.POSITION, style.TIME_POINT)
     figure, rows = style.time_and_space_figure(7.2, 2.2 * len(names) + 0.3, names, case, *shown)
     band: dict[str, Any] = {"color": style.PREDICTED, "alpha": 0.25, "lw": 0}
     for name, panels in rows.items():
@@ -176,7 +158,7 @@ def smoothness(
     study: studies.FormulationStudy,
     subset: str = "train",
     case: int = 0,
-    position: float = 0.9,
+    position: float = style.POSITION,
     *,
     truth_label: str = "3D, averaged",
 ) -> Figure:

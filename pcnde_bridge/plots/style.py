@@ -34,6 +34,9 @@ EMPIRICAL_LINE: dict[str, Any] = {"ls": ":", "lw": 1.4, "color": EMPIRICAL}
 VALUE_COLORS, ERROR_COLORS = "viridis", "Blues"
 """Color maps of values and of errors; their lightness changes evenly."""
 
+POSITION, TIME_POINT = 0.9, 0.25
+"""Place and time of the paper's curves, as fractions of the length and of the cycle."""
+
 TIME_LABEL, SPACE_LABEL = "time t (s)", "position z (cm)"
 """Axis labels."""
 
