@@ -551,7 +551,7 @@ TABLE = [
     ("csv", "binary", replaced_by(bytes(range(256)) * 9), FileError, "is not a table"),
     ("csv", "no pressure", table(lambda f: f.drop(columns="pressure")),
      InputError, "lacks the colu"),
-    ("csv", "a row less", table(lambda f: f[:-1]), InputError, "give each time point and point"),
+    ("csv", "a row less", table(lambda f: f[:-1]), InputError, "give each once"),
     ("csv", "a row twice", table(lambda f: pd.concat([f, f[:1]])), InputError, "once"),
     ("csv", "negative area", scaled("area", -1), InputError, "areas must be positive"),
     ("csv", "z off by 1000", scaled("z", 1e3), InputError, "does not look like CGS"),
