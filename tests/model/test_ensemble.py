@@ -10,7 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import FailingEngine, interrupt_at
+from helpers import FailingEngine, ToyEngine, interrupt_at
 
 from pcnde_bridge import (
     PCNDE,
@@ -25,6 +25,7 @@ from pcnde_bridge import (
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import processes, run
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.model.describe import describe
 from pcnde_bridge.model.fit_task import (
     FitTask,
@@ -79,6 +80,23 @@ def test_mean_and_deviation(small_cases, ensemble):
     table = ensemble.evaluate(small_cases)
     errors = pooled_errors(prediction.variables(), small_cases)
     assert table.iloc[-1].to_dict() == pytest.approx(errors)
+
+
+def test_wall_shear_stress_of_an_ensemble_is_the_mean(small_cases, ensemble, monkeypatch):
+    """The engine's solution may have one; its spread is not calibrated."""
+
+    def predict(self, *args):
+        solution = predict_by_stages(self, *args)
+        return solution._replace(wall_shear_stress=solution.flow**2)
+
+    monkeypatch.setattr(ToyEngine, "predict", predict)
+    alone = [member.predict(small_cases) for member in ensemble.members]
+    assert np.array_equal(alone[0].wall_shear_stress, alone[0].flow ** 2)
+    prediction = ensemble.predict(small_cases)
+    expected = np.mean([one.wall_shear_stress for one in alone], axis=0)
+    np.testing.assert_allclose(prediction.wall_shear_stress, expected, rtol=1e-14)
+    assert list(prediction.samples) == list(prediction.interval()) == [*VARIABLES]
+    assert {"peak_wss", "ffr_low"} <= {*prediction.indices()}
 
 
 def test_where_members_agree_the_samples_still_have_the_deviation(small_cases, config, engine):
