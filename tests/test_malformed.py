@@ -91,7 +91,7 @@ def good(tmp_path_factory, small_cases, small_config):
     rng = np.random.default_rng(0)
     undeformed = np.broadcast_to(rng.uniform(0.08, 0.12, size=101), (100, 101))
     one = np.ones((100, 101))
-    case = np.stack([one, 1e5 * undeformed, undeformed, 1.05 * undeformed, one, one])
+    case = np.stack([one, 1e5 * undeformed, undeformed, 1.05 * undeformed, one, 9 * one])
     (folder / "authors" / "case_1_0").mkdir(parents=True)
     np.save(folder / "authors" / "case_1_0" / "averagedTo1DFrom0_case_1_0.npy", case)
     (folder / "weights").mkdir()
