@@ -48,15 +48,11 @@ from pcnde_bridge.model.metrics import ERRORS, coverage, pooled_errors
 
 def split_cases(cases: Cases, split: str, seed: int) -> Split:
     """Split the cases into training and test cases."""
-    if split == "paper":
-        return cases.split("paper")
-    labels = cases.labels[["geometry", "waveform"]]
     if split == "transposed":
-        test = ((labels == labels.min()).any(axis=1)).to_numpy()
-    else:
-        test = np.zeros(len(cases), dtype=bool)
-        test[np.random.default_rng(seed).permutation(len(cases))[: len(cases) // 2]] = True
-    return Split(cases.select(np.flatnonzero(~test)), cases.select(np.flatnonzero(test)))
+        labels = cases.labels[["geometry", "waveform"]]
+        test = (labels == labels.min()).any(axis=1).to_numpy()
+        return Split(cases[~test], cases[test])
+    return cases.split(0.5, seed=seed) if split == "random" else cases.split(split)
 
 
 def fit_and_measure(data: str, split: str, preset: str, engine: str, seed: int) -> dict[str, Any]:
