@@ -22,14 +22,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    ModelInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.io.datasets import find_published, load_cases
 
 BATCHES = 20
@@ -104,14 +97,9 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
     for number in range(BATCHES):
         batch = batches[number % len(batches)]
         began = time.perf_counter()
-        fit = engine.flow.fit(
-            vector,
-            FlowInputs(train.inflow[batch], area[batch]),
-            train.flow[batch],
-            grid,
-            PAPER,
-            PAPER.flow.iterations,
-        )
+        inputs = train.inflow[batch], area[batch]
+        data = FitData(inputs, train.flow[batch], grid, PAPER)
+        fit = engine.flow.fit(vector, data, PAPER.flow.iterations)
         seconds.append(time.perf_counter() - began)
         vector = fit.parameters
         iterations = len(fit.losses) - 1
@@ -119,24 +107,24 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
     results["flow, BFGS iteration on 12 cases, ms"] = 1e3 * np.median(seconds) / iterations
     parameters = first.replace(flow=vector)
 
-    flow = engine.flow.solve(vector, FlowInputs(train.inflow, area), grid, PAPER)
+    flow = engine.flow.solve(vector, (train.inflow, area), grid, PAPER)
     batch = batches[0]
     pressure = train.pressure / PAPER.physics.reference_pressure
     fits = {
         "intermediate_area": (
-            IntermediateAreaInputs(flow[batch], train.area_undeformed[batch]),
+            (flow[batch], train.area_undeformed[batch]),
             train.area[batch],
         ),
         "fourier_area": (
-            FourierAreaInputs(flow[batch], train.area_undeformed[batch]),
+            (flow[batch], train.area_undeformed[batch]),
             train.area[batch],
         ),
         "temporal_pressure": (
-            TemporalPressureInputs(flow, train.area, train.area_undeformed),
+            (flow, train.area, train.area_undeformed),
             pressure,
         ),
         "spatial_pressure": (
-            SpatialPressureInputs(pressure, flow, train.area_undeformed),
+            (pressure, flow, train.area_undeformed),
             pressure,
         ),
     }
@@ -144,7 +132,7 @@ def measure(name: str, cases: Cases) -> dict[str, float]:
 
         def fit_stage(stage=stage, inputs=inputs, target=target) -> int:
             start = getattr(parameters, stage)
-            fit = getattr(engine, stage).fit(start, inputs, target, grid, PAPER, 5)
+            fit = getattr(engine, stage).fit(start, FitData(inputs, target, grid, PAPER), 5)
             return max(len(fit.losses) - 1, 1)
 
         taken, count = timed(fit_stage)

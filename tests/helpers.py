@@ -19,7 +19,7 @@ from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.julia.environment import JuliaStatus, julia_status
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import Fit, ModelInputs
+from pcnde_bridge.engines.types import Fit, FitData, ModelInputs, ignore
 from pcnde_bridge.model.pcnde import PCNDE
 
 
@@ -42,7 +42,8 @@ def julia_or_skip() -> Engine:
 
 def loss_and_gradient_of(stage, parameters, inputs, target, grid, config):
     """Return a stage's loss and its gradient, all cases with equal weights."""
-    return stage.objective(inputs, target, np.ones(len(target)), grid, config)(parameters)
+    data = FitData(inputs, target, grid, config)
+    return stage.objective(data, np.ones(len(target)))(parameters)
 
 
 # Closures of the preset ``physics``.  One grid throughout, and 16 cases at once: every new
@@ -123,9 +124,10 @@ class ToyStage:
         predicted = self.solve(parameters, inputs, grid, config)
         return float(((self.compared(predicted, target.shape[1]) - target) ** 2).mean())
 
-    def objective(self, inputs, target, weight, grid, config):
+    def objective(self, data, weight):
+        inputs, target, grid, config = data
         chosen = np.asarray(weight) > 0
-        part = type(inputs)(*(array[chosen] for array in inputs)), target[chosen], grid, config
+        part = tuple(array[chosen] for array in inputs), target[chosen], grid, config
 
         def evaluate(parameters):
             _, weights = self._k(parameters)
@@ -138,7 +140,8 @@ class ToyStage:
 
         return evaluate
 
-    def fit(self, parameters, inputs, target, grid, config, iterations, on_iteration=None):
+    def fit(self, parameters, data, iterations, on_iteration=ignore):
+        inputs, target, grid, config = data
         self.fits.append((parameters.copy(), inputs, target))
         losses = [self._loss(parameters, inputs, target, grid, config)]
         for number in range(1, iterations + 1):
@@ -146,32 +149,36 @@ class ToyStage:
             length = np.linalg.norm(gradient)
             parameters = parameters - 0.05 * gradient / (length if length > 0 else 1.0)
             losses.append(self._loss(parameters, inputs, target, grid, config))
-            if on_iteration is not None:
-                on_iteration(number, losses[-1])
+            on_iteration(number, losses[-1])
         return Fit(parameters, np.array(losses), False, "all iterations done")
 
 
 def _toy_flow(k, inputs, grid, config):
-    slope = 0.1 * k[0] + 0.1 * k[1] * (inputs.area - 0.125) + 0.01 * k[2] * grid.z
-    return inputs.inflow[:, :, None] * (1 + slope * grid.z)
+    inflow, area = inputs
+    slope = 0.1 * k[0] + 0.1 * k[1] * (area - 0.125) + 0.01 * k[2] * grid.z
+    return inflow[:, :, None] * (1 + slope * grid.z)
 
 
 def _toy_intermediate(k, inputs, grid, config):
-    one = inputs.area_undeformed[:, None] * (1 + 0.1 * k[0] + 0.1 * k[1] * inputs.flow)
+    flow, area_undeformed = inputs
+    one = area_undeformed[:, None] * (1 + 0.1 * k[0] + 0.1 * k[1] * flow)
     return np.concatenate([one * (1 + 0.01 * k[2] * n) for n in range(3)], axis=1)
 
 
 def _toy_fourier(k, inputs, grid, config):
-    return inputs.initial_area[:, None] * (1 + 0.1 * k[0] * inputs.flow) + 0.01 * (k[1] + k[2])
+    flow, initial_area = inputs
+    return initial_area[:, None] * (1 + 0.1 * k[0] * flow) + 0.01 * (k[1] + k[2])
 
 
 def _toy_temporal(k, inputs, grid, config):
-    return 1 + k[0] * inputs.flow + k[1] * inputs.area + k[2] * inputs.area_undeformed[:, None]
+    flow, area, area_undeformed = inputs
+    return 1 + k[0] * flow + k[1] * area + k[2] * area_undeformed[:, None]
 
 
 def _toy_spatial(k, inputs, grid, config):
-    drop = (k[1] + k[2] * inputs.flow) * np.tanh(grid.z - 2)
-    return inputs.temporal.mean(axis=2, keepdims=True) + k[0] - drop
+    temporal, flow, _ = inputs
+    drop = (k[1] + k[2] * flow) * np.tanh(grid.z - 2)
+    return temporal.mean(axis=2, keepdims=True) + k[0] - drop
 
 
 class ToyEngine:

@@ -93,7 +93,7 @@ class Section:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as nested plain dictionaries, ready for JSON."""
-        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+        return dataclasses.asdict(self)  # type: ignore[call-overload]
 
 
 class Settings(Section):

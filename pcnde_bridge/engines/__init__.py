@@ -43,26 +43,22 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
         return name
     if name not in get_args(EngineName):
         raise InputError(f"Unknown engine {name!r}; choose one of {list(get_args(EngineName))}.")
-    if name == "jax":
-        return _jax()
-    from pcnde_bridge.engines.julia.engine import julia_engine
-    from pcnde_bridge.engines.julia.environment import julia_status
+    if name != "jax":
+        from pcnde_bridge.engines.julia.engine import julia_engine
+        from pcnde_bridge.engines.julia.environment import julia_status
 
-    if name == "julia":
-        return julia_engine()
-    status = julia_status()
-    try:
-        if not status.usable:
-            raise EngineUnavailableError(status.message)
-        engine = julia_engine()
-    except EngineUnavailableError as error:
-        _log.info("Using the JAX engine: %s", error)
-        return _jax()
-    _log.info("Using the Julia engine: Julia is usable on this machine.")
-    return engine
-
-
-def _jax() -> Engine:
+        if name == "julia":
+            return julia_engine()
+        status = julia_status()
+        try:
+            if status.usable:
+                engine = julia_engine()
+                _log.info("Using the Julia engine: Julia is usable on this machine.")
+                return engine
+            reason = status.message
+        except EngineUnavailableError as error:
+            reason = str(error)
+        _log.info("Using the JAX engine: %s", reason)
     with interrupts.deferred():
         from pcnde_bridge.engines.jax.engine import jax_engine
     return jax_engine()

@@ -167,8 +167,6 @@ class Parameters(ParameterVectors):
             np.array_equal(mine, getattr(other, name)) for name, mine in self
         )
 
-    __hash__ = None  # type: ignore[assignment]
-
     def check(self, config: PCNDEConfig, n_times: int, n_points: int) -> None:
         """Raise if a vector does not fit the configuration and grid, or is not finite.
 

@@ -20,28 +20,31 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.types import (
+    LBFGS,
     Fit,
+    FitData,
     ModelInputs,
     Objective,
-    OnIterate,
     OnIteration,
     Problem,
     Solution,
     StageInputs,
+    ignore,
 )
 
 
 class Stage(Protocol):
-    """One stage of the method.
+    """One stage of the method."""
 
-    All methods take the stage's inputs, the grid (s, cm) and the configuration;
-    ``target`` is an array of shape (case, time, z).
-    """
-
-    def solve(
-        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def solve(self, vector: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig) -> Array:
         """Evaluate the stage, independently for every case.
+
+        Parameters
+        ----------
+        vector : array of shape (size,)
+            Parameters of the stage.
+        inputs, grid, config
+            Inputs of the stage, their grid (s, cm) and the settings.
 
         Returns
         -------
@@ -55,14 +58,12 @@ class Stage(Protocol):
             If the equation cannot be integrated to the end.
         """
 
-    def losses(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def losses(self, vectors: Array, data: FitData) -> Array:
         """Compute the loss of :meth:`objective`, with equal weights, for many parameter vectors.
 
         Parameters
         ----------
-        parameters : array of shape (vector, size)
+        vectors : array of shape (vector, size)
             One parameter vector per row.
 
         Returns
@@ -71,9 +72,7 @@ class Stage(Protocol):
             Infinite where the equation cannot be integrated.
         """
 
-    def objective(
-        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
-    ) -> Objective:
+    def objective(self, data: FitData, weight: Array) -> Objective:
         """Prepare the squared error against the target, and its gradient.
 
         The flow stage controls its step by the error of all cases together.
@@ -91,24 +90,17 @@ class Stage(Protocol):
         """
 
     def fit(
-        self,
-        parameters: Array,
-        inputs: StageInputs,
-        target: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-        iterations: int,
-        on_iteration: OnIteration | None = None,
+        self, start: Array, data: FitData, iterations: int, on_iteration: OnIteration = ignore
     ) -> Fit:
         """Minimize :meth:`objective`, with equal weights, by BFGS.
 
         Parameters
         ----------
-        parameters : array of shape (size,)
+        start : array of shape (size,)
             First iterate.
         iterations : int
             Maximum number of iterations.
-        on_iteration : callable, optional
+        on_iteration : callable
             Called with the number and loss of each iteration; it may raise to stop.
 
         Raises
@@ -211,12 +203,26 @@ class Engine(ABC):
         ``"julia"`` or ``"jax"``.
     versions : mapping of str to str
         Versions of the packages that compute.
-    flow, intermediate_area, fourier_area, temporal_pressure, spatial_pressure : Stage
-        The five stages of the paper.
+    flow : Stage
+        Momentum equation.  Inputs: Q_in (case, time), and S (case, time, z), linear in z between
+        the points.
+    intermediate_area : Stage
+        Continuity equation.  Inputs: Q (case, time, z), periodic and linear in time between the
+        time points, and S_u (case, z), the initial condition.
+    fourier_area : Stage
+        Periodic area.  Inputs: Q (case, time, z), and Ŝ(t=0) (case, z) from the intermediate area.
+    temporal_pressure : Stage
+        First pressure stage.  Inputs: Q and S (case, time, z), and S_u (case, z).
+    spatial_pressure : Stage
+        Second pressure stage.  Inputs: p̂* (case, time, z), the first one's result, Q (case, time,
+        z), and S_u (case, z).
     temporal_flow : Stage
-        The momentum equation in time, an alternative to ``flow``.
+        Momentum equation in time, an alternative to ``flow``.  Inputs: Q_in (case, time), linear in
+        time between the time points, and Q at the first time point (case, z).
     closures : Closures
         The equations of the ``physics`` preset.
+    lbfgs : callable
+        The optimizer :data:`pcnde_bridge.engines.types.LBFGS`.
     """
 
     name: str
@@ -228,32 +234,7 @@ class Engine(ABC):
     spatial_pressure: Stage
     temporal_flow: Stage
     closures: Closures
-
-    @abstractmethod
-    def lbfgs(
-        self,
-        objective: Objective,
-        start: Array,
-        memory: int,
-        iterations: int,
-        on_iterate: OnIterate,
-    ) -> None:
-        """Minimize a function by L-BFGS without restarts, until its loss no longer decreases.
-
-        Parameters
-        ----------
-        objective : callable
-            Returns the loss, always finite, and its gradient.
-        start : array of shape (n,)
-            First iterate; the first trial step has length one.
-        memory : int
-            Number of stored pairs of steps and gradient changes.
-        iterations : int
-            Maximum number of iterations.
-        on_iterate : callable
-            Called with a copy of each accepted iterate and its loss.  Its exceptions end the
-            fit and are propagated.
-        """
+    lbfgs: LBFGS
 
     @abstractmethod
     def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:

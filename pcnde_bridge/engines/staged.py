@@ -9,15 +9,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    ModelInputs,
-    Solution,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import ModelInputs, Solution
 
 
 def undeformed(area_undeformed: Array, n_times: int) -> Array:
@@ -39,18 +31,13 @@ def anchor(n_times: int, config: PCNDEConfig) -> int:
 
 
 def solve_area(
-    engine: Engine,
-    parameters: Parameters,
-    flow: Array,
-    area_undeformed: Array,
-    grid: Grid,
-    config: PCNDEConfig,
+    engine: Engine, parameters: Parameters, flow: Array, s_u: Array, grid: Grid, config: PCNDEConfig
 ) -> Array:
     """Solve both area stages: S (case, time, z) from Q (case, time, z) and S_u (case, z)."""
-    inputs, settings = IntermediateAreaInputs(flow, area_undeformed), (grid, config)
-    intermediate = engine.intermediate_area.solve(parameters.intermediate_area, inputs, *settings)
-    anchored = FourierAreaInputs(flow, intermediate[:, anchor(flow.shape[1], config)])
-    return engine.fourier_area.solve(parameters.fourier_area, anchored, *settings)
+    continuity, series = engine.intermediate_area, engine.fourier_area
+    cycles = continuity.solve(parameters.intermediate_area, (flow, s_u), grid, config)
+    anchored = flow, cycles[:, anchor(flow.shape[1], config)]
+    return series.solve(parameters.fourier_area, anchored, grid, config)
 
 
 def predict_by_stages(
@@ -72,12 +59,12 @@ def predict_by_stages(
     inflow, area_undeformed, grid = inputs
     area, settings = undeformed(area_undeformed, inflow.shape[1]), (grid, config)
     for _ in range(config.coupling_passes):
-        flow = engine.flow.solve(parameters.flow, FlowInputs(inflow, area), *settings)
+        flow = engine.flow.solve(parameters.flow, (inflow, area), *settings)
         area = solve_area(engine, parameters, flow, area_undeformed, *settings)
     if not parameters.has_pressure:
         return Solution(flow, area)
-    for_network = TemporalPressureInputs(flow, area, area_undeformed)
-    temporal = engine.temporal_pressure.solve(parameters.temporal_pressure, for_network, *settings)
-    in_space = SpatialPressureInputs(temporal, flow, area_undeformed)
-    relative = engine.spatial_pressure.solve(parameters.spatial_pressure, in_space, *settings)
+    fields = flow, area, area_undeformed
+    temporal = engine.temporal_pressure.solve(parameters.temporal_pressure, fields, *settings)
+    fields = temporal, flow, area_undeformed
+    relative = engine.spatial_pressure.solve(parameters.spatial_pressure, fields, *settings)
     return Solution(flow, area, relative * config.physics.reference_pressure)

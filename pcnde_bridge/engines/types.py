@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from pcnde_bridge._typing import Array
+from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.errors import SolveError
 
 OnIteration = Callable[[int, float], None]
 """Callback with an iteration's number, from 1, and its loss; it may raise to stop."""
@@ -19,107 +24,37 @@ OnIterate = Callable[[Array, float], None]
 """Callback with an accepted parameter vector and its loss; it may raise to stop."""
 
 LBFGS = Callable[[Objective, Array, int, int, OnIterate], None]
-"""Signature of :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
+"""L-BFGS without restarts, until the loss no longer decreases.
+
+The arguments are the objective, whose loss is always finite; the first iterate, of shape (n,), from
+which the first trial step has length one; the number of stored pairs of steps and gradient changes;
+the largest number of iterations; and a callback with a copy of each accepted iterate and its loss,
+whose exceptions end the fit and are propagated.
+"""
 
 StageInputs = tuple[Array, ...]
-"""Inputs of a stage, one of the tuples below; all arrays are of shape (case, ...)."""
+"""Inputs of a stage, see :class:`pcnde_bridge.engines.protocol.Engine`; each (case, ...)."""
 
 Problem = Callable[[Array], tuple[Array, Array]]
 """Value of a closure and its Jacobian (one more axis) at the closure's parameters."""
 
 
-class FlowInputs(NamedTuple):
-    """Inputs of the momentum equation.
-
-    Attributes
-    ----------
-    inflow : array of shape (case, time)
-        Q(z=0, t), mL/s.
-    area : array of shape (case, time, z)
-        S, cm²; linear in z between the points.
-    """
-
-    inflow: Array
-    area: Array
+def ignore(*_: object) -> None:
+    """Do nothing: the default callback."""
 
 
-class TemporalFlowInputs(NamedTuple):
-    """Inputs of the momentum equation in time.
-
-    Attributes
-    ----------
-    inflow : array of shape (case, time)
-        Q(z=0, t), mL/s; linear in time between the time points.
-    initial_flow : array of shape (case, z)
-        Q at the first time point, mL/s.
-    """
-
-    inflow: Array
-    initial_flow: Array
+def is_finite(loss: float, gradient: Array) -> bool:
+    """Return whether a loss and its gradient are finite."""
+    return math.isfinite(loss) and bool(np.isfinite(gradient).all())
 
 
-class IntermediateAreaInputs(NamedTuple):
-    """Inputs of the continuity equation.
-
-    Attributes
-    ----------
-    flow : array of shape (case, time, z)
-        Q, mL/s, periodic and linear in time between the time points.
-    area_undeformed : array of shape (case, z)
-        S_u, cm², the initial condition.
-    """
-
-    flow: Array
-    area_undeformed: Array
-
-
-class FourierAreaInputs(NamedTuple):
-    """Inputs of the periodic area.
-
-    Attributes
-    ----------
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    initial_area : array of shape (case, z)
-        Ŝ(z, t=0), cm², from the intermediate area.
-    """
-
-    flow: Array
-    initial_area: Array
-
-
-class TemporalPressureInputs(NamedTuple):
-    """Inputs of the first pressure stage.
-
-    Attributes
-    ----------
-    flow, area : array of shape (case, time, z)
-        Q, mL/s, and S, cm².
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    """
-
-    flow: Array
-    area: Array
-    area_undeformed: Array
-
-
-class SpatialPressureInputs(NamedTuple):
-    """Inputs of the second pressure stage.
-
-    Attributes
-    ----------
-    temporal : array of shape (case, time, z)
-        p̂*, the first stage's result.
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    """
-
-    temporal: Array
-    flow: Array
-    area_undeformed: Array
+def check_start(loss: float, gradient: Array) -> None:
+    """Raise SolveError unless loss and gradient are finite where a fit starts."""
+    if not is_finite(loss, gradient):
+        raise SolveError(
+            f"The loss is not finite at the first parameters of the fit (loss {loss}): the "
+            "equation diverges there. Check the data's units, or start from another seed."
+        )
 
 
 class ModelInputs(NamedTuple):
@@ -138,6 +73,27 @@ class ModelInputs(NamedTuple):
     inflow: Array
     area_undeformed: Array
     grid: Grid
+
+
+class FitData(NamedTuple):
+    """Data to which a stage is fitted.
+
+    Attributes
+    ----------
+    inputs : tuple of arrays
+        Inputs of the stage.
+    target : array of shape (case, time, z)
+        Reference values of its result.
+    grid : Grid
+        Grid of inputs and target.
+    config : PCNDEConfig
+        Settings.
+    """
+
+    inputs: StageInputs
+    target: Array
+    grid: Grid
+    config: PCNDEConfig
 
 
 @dataclass(frozen=True)

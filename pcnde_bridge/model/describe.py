@@ -47,12 +47,12 @@ def describe(path: StrPath) -> dict[str, Any]:
     FileError
         If the file is none of these, or damaged.
     """
-    found = archive_kind(path)
-    if found not in _FORMATS:
+    file_format = _FORMATS.get(archive_kind(path) or "")
+    if file_format is None:
         with contextlib.suppress(PCNDEError):
             return _data_set(Cases.load(path))
-    # The reader reports whether the file is missing, damaged or something else.
-    file_format = _FORMATS.get(found or "", PCNDE.file_format)
+        # The reader reports whether the file is missing, damaged or something else.
+        file_format = PCNDE.file_format
     facts, arrays = read_archive(path, *file_format)
     kind = file_format[2]
     with interpreting(path, kind):
@@ -76,7 +76,7 @@ def _trained(kind: str, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -
     if kind == "checkpoint":
         vectors = len(facts.get("vectors", ()))
         finished = whole("finished", facts.get("finished", vectors))
-        return found | {"finished": finished, "steps": whole("units", facts["units"])}
+        return found | {"finished": finished, "steps": whole("steps", facts["steps"])}
     return found | {"grid": _grid(arrays["time"], arrays["z"], arrays["period"])}
 
 

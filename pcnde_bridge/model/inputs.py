@@ -58,6 +58,12 @@ class Inputs:
     novelty: Array | None = None
     random: RandomNumbers | None = None
 
+    @classmethod
+    def from_cases(cls, cases: Cases) -> Inputs:
+        """Return the inputs of cases, without labels that describe the reference solution."""
+        labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
+        return cls(cases.inflow, cases.area_undeformed, cases.grid, labels)
+
     def __len__(self) -> int:
         return len(self.inflow)
 
@@ -80,12 +86,6 @@ def check_cases(name: str, cases: object) -> None:
             f"{name} must be Cases, got {type(cases).__name__}. Create them with load_cases(path) "
             "or Cases(flow=..., ...)."
         )
-
-
-def inputs_from_cases(cases: Cases) -> Inputs:
-    """Return the inputs of cases; labels that describe the reference solution are left out."""
-    labels = cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore")
-    return Inputs(cases.inflow, cases.area_undeformed, cases.grid, labels)
 
 
 def inputs_from_arrays(

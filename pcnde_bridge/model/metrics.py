@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.validation import check_shape
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
 from pcnde_bridge.data.selection import case_keys
@@ -35,16 +36,26 @@ def relative_error(predicted: Array, reference: Array) -> float:
     InputError
         If the shapes differ or the reference is zero.
     """
-    _check_shapes(predicted, reference)
+    check_shape("The prediction", predicted, reference.shape)
     size = np.linalg.norm(reference.ravel())
     if size == 0:
         raise InputError("The relative error is undefined: the reference is zero everywhere.")
     return float(np.linalg.norm((predicted - reference).ravel()) / size)
 
 
-def _check_shapes(predicted: Array, reference: Array) -> None:
-    if predicted.shape != reference.shape:
-        raise InputError(f"Cannot compare shape {predicted.shape} with shape {reference.shape}.")
+def reference_of(variable: str, values: Array, cases: Cases) -> Array:
+    """Return the reference of a predicted variable, if the prediction has its shape.
+
+    Raises
+    ------
+    InputError
+        If the cases do not have the variable, or the shapes differ.
+    """
+    reference = cases.variables().get(variable)
+    if reference is None:
+        raise InputError(f"The cases have no {variable}: leave it out of the prediction.")
+    check_shape(f"The predicted {variable}", values, reference.shape, "case, time, z")
+    return reference
 
 
 def compared(variable: str, values: Array) -> Array:
@@ -112,9 +123,9 @@ def case_table(measure: Callable[[slice], dict[str, Any]], cases: Cases) -> pd.D
 def _pairs(predicted: Mapping[str, Array], cases: Cases) -> dict[str, tuple[Array, Array]]:
     """Return prediction and reference of everything that has an error."""
     pairs = {}
-    for name, truth in cases.variables().items():
+    for name in cases.variables():
         if name in predicted:
-            _check_shapes(predicted[name], truth)
+            truth = reference_of(name, predicted[name], cases)
             pairs[name] = compared(name, predicted[name]), compared(name, truth)
     if "pressure" in pairs:
         ends = measuring_positions(cases.z, cases.area_undeformed)

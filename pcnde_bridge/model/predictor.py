@@ -22,13 +22,7 @@ from pcnde_bridge.data.units import stated_units
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
-from pcnde_bridge.model.inputs import (
-    Inputs,
-    check_cases,
-    check_plausible,
-    inputs_from_arrays,
-    inputs_from_cases,
-)
+from pcnde_bridge.model.inputs import Inputs, check_cases, check_plausible, inputs_from_arrays
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.metrics import error_table
 from pcnde_bridge.model.prediction import Prediction
@@ -212,7 +206,7 @@ class Predictor(ABC):
             if any(other is not None for other in others):
                 raise InputError("Give cases, or inflow and area_undeformed, not both.")
             self.check_grid(inflow)
-            inputs = inputs_from_cases(inflow)
+            inputs = Inputs.from_cases(inflow)
         else:
             inputs = inputs_from_arrays(self.grid, self.any_grid, *given)
         random = self._random_numbers(samples, seed, len(inputs))
@@ -378,4 +372,4 @@ class Predictor(ABC):
 def predict(model: Predictor, cases: Cases) -> Prediction:
     """Predict cases without a warning of extrapolation, which their errors will show."""
     model.check_grid(cases)
-    return model._solve(inputs_from_cases(cases))
+    return model._solve(Inputs.from_cases(cases))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pcnde_bridge._typing import Array
-from pcnde_bridge._utils import validation
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.training.procedure import Procedure, RunState, State
@@ -16,21 +14,6 @@ def check_single(cases: Cases, study: str) -> None:
     """Raise InputError unless there is exactly one case."""
     if len(cases) != 1:
         raise InputError(f"{study} one case, got {len(cases)}. Select it, such as cases[0].")
-
-
-def check_shape(variable: str, values: Array, cases: Cases) -> Array:
-    """Return the truth of a predicted variable, if the prediction has its shape.
-
-    Raises
-    ------
-    InputError
-        If the cases do not have the variable, or the shapes differ.
-    """
-    truth = cases.variables().get(variable)
-    if truth is None:
-        raise InputError(f"The cases have no {variable}: leave it out of the prediction.")
-    validation.check_shape(f"The predicted {variable}", values, truth.shape, "case, time, z")
-    return truth
 
 
 def train_until_divergence(

@@ -11,8 +11,8 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
-from pcnde_bridge.model.metrics import POOLED, compared, error_table
-from pcnde_bridge.studies._shared import check_shape, check_single
+from pcnde_bridge.model.metrics import POOLED, compared, error_table, reference_of
+from pcnde_bridge.studies._shared import check_single
 
 _WHISKER = 1.5  # interquartile ranges
 _STATISTICS = ("median", "lower", "upper", "low", "high", "largest", "outliers")
@@ -96,7 +96,7 @@ def pointwise_errors(predicted: Mapping[str, Array], case: Cases) -> PointwiseEr
     """
     check_single(case, "Pointwise errors need")
     distance = {
-        name: np.abs(values - check_shape(name, values, case))[0]
+        name: np.abs(values - reference_of(name, values, case))[0]
         for name, values in predicted.items()
     }
     if "area" in distance:
@@ -134,7 +134,7 @@ def box_statistics(predicted: Mapping[str, Mapping[str, Array]], cases: Cases) -
     rows = {}
     for method, arrays in predicted.items():
         for name, values in arrays.items():
-            truth = compared(name, check_shape(name, values, cases))
+            truth = compared(name, reference_of(name, values, cases))
             if not truth.all():
                 raise InputError(f"The true {name} is 0 somewhere: it has no relative error.")
             errors = (np.abs(compared(name, values) - truth) / np.abs(truth)).ravel()

@@ -25,7 +25,7 @@ from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.parameters import initial_parameters, initial_temporal_flow
 from pcnde_bridge.engines.protocol import Engine, Stage
 from pcnde_bridge.engines.staged import solve_area, undeformed
-from pcnde_bridge.engines.types import FlowInputs, IntermediateAreaInputs, TemporalFlowInputs
+from pcnde_bridge.engines.types import FitData, StageInputs
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.studies._shared import describe_outcome, train_until_divergence
@@ -243,9 +243,9 @@ class _FormulationTraining(Procedure[_FormulationState]):
     def fit(self, step: Step, state: _FormulationState, recorder: Recorder) -> _FormulationState:
         """Return the state with the network fitted to a batch."""
         cases, batch = self.cases, state.batches[step.batch - 1]
-        inputs, target = minibatch.select(self._inputs(cases), batch), cases.flow[batch]
-        run = cases.grid, self.config, self._settings.iterations
-        optimize = partial(self._stage.fit, state.parameters, inputs, target, *run)
+        inputs = minibatch.select(self._inputs(cases), batch)
+        data = FitData(inputs, cases.flow[batch], cases.grid, self.config)
+        optimize = partial(self._stage.fit, state.parameters, data, self._settings.iterations)
         return replace(state, parameters=recorder.run(*step, optimize))
 
     def solve(self, state: _FormulationState, cases: Cases) -> Array:
@@ -253,10 +253,10 @@ class _FormulationTraining(Procedure[_FormulationState]):
         inputs = self._inputs(cases)
         return self._stage.solve(state.parameters, inputs, self.cases.grid, self.config)
 
-    def _inputs(self, cases: Cases) -> FlowInputs | TemporalFlowInputs:
+    def _inputs(self, cases: Cases) -> StageInputs:
         if self._in_space:
-            return FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
-        return TemporalFlowInputs(cases.inflow, cases.flow[:, 0])
+            return cases.inflow, undeformed(cases.area_undeformed, cases.n_times)
+        return cases.inflow, cases.flow[:, 0]
 
     def evaluate(
         self, name: str, flows: Mapping[str, Array], subsets: Mapping[str, Cases]
@@ -265,7 +265,8 @@ class _FormulationTraining(Procedure[_FormulationState]):
         train, grid, config, engine = self.cases, self.cases.grid, self.config, self.engine
 
         def fit(stage: str, inputs: Any, target: Array) -> Array:
-            return fit_area_stage(getattr(engine, stage), inputs, target, grid, config).parameters
+            data = FitData(inputs, target, grid, config)
+            return fit_area_stage(getattr(engine, stage), data).parameters
 
         uncorrected = np.repeat([1.0, 0.0], train.n_points)
         parameters = initial_parameters(config, train.n_times, train.n_points, 0)
@@ -275,7 +276,7 @@ class _FormulationTraining(Procedure[_FormulationState]):
         results = {}
         for subset, cases in subsets.items():
             flow, start = flows[subset], cases.area_undeformed
-            inputs = IntermediateAreaInputs(flow, start)
+            inputs = flow, start
             by_continuity = engine.intermediate_area.solve(uncorrected, inputs, grid, config)
             area = solve_area(engine, parameters, flow, start, grid, config)
             slope, last = flow_slope(flow, cases.z), by_continuity[:, -cases.n_times :]

@@ -10,7 +10,6 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.engines.types import IntermediateAreaInputs
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.model.pcnde import PCNDE
 
@@ -80,7 +79,7 @@ def fourier_effect(model: PCNDE, cases: Cases) -> FourierEffect:
     cycles = max(2, config.intermediate_area.cycles)
     intermediate = model.engine.intermediate_area.solve(
         dict(model.parameters)["intermediate_area"],
-        IntermediateAreaInputs(predicted.flow, cases.area_undeformed),
+        (predicted.flow, cases.area_undeformed),
         cases.grid,
         config.replace(intermediate_area={"cycles": cycles}),
     )

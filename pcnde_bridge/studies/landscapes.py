@@ -28,7 +28,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.engines.types import FlowInputs
+from pcnde_bridge.engines.types import FitData, StageInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.studies._shared import describe_outcome, train_until_divergence
@@ -171,7 +171,7 @@ class LandscapeStudy:
 def loss_landscape(
     engine: Engine,
     parameters: Array,
-    inputs: FlowInputs,
+    inputs: StageInputs,
     target: Array,
     grid: Grid,
     config: PCNDEConfig,
@@ -211,7 +211,7 @@ def loss_landscape(
     along = amplitudes(amplitude, points)
     shifts = along[:, None, None] * first + along[None, :, None] * second
     vectors = parameters + shifts.reshape(-1, parameters.size)
-    losses = engine.flow.losses(vectors, inputs, target, grid, config)
+    losses = engine.flow.losses(vectors, FitData(inputs, target, grid, config))
     return np.where(np.isfinite(losses), losses, np.inf).reshape(points, points)
 
 
@@ -312,7 +312,7 @@ def _evaluate(
 ) -> Landscape:
     """Return the landscape of the first batch, with the area that the network then uses."""
     cases, area, batch = procedure.cases, state.area, state.batches[0]
-    inputs, target = FlowInputs(cases.inflow[batch], area[batch]), cases.flow[batch]
+    inputs, target = (cases.inflow[batch], area[batch]), cases.flow[batch]
     run = inputs, target, cases.grid, procedure.config
     losses = loss_landscape(procedure.engine, state.parameters.flow, *run, **around)
     error = relative_error(compared("area", area), compared("area", cases.area))

@@ -11,8 +11,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.hemodynamics import pressure_losses
-from pcnde_bridge.model.metrics import case_table, relative_error
-from pcnde_bridge.studies._shared import check_shape
+from pcnde_bridge.model.metrics import case_table, reference_of, relative_error
 
 _PHYSICS = Physics()
 
@@ -76,7 +75,7 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
     InputError
         If the pressure has another shape than the cases.
     """
-    check_shape("pressure", pressure, cases)
+    reference_of("pressure", pressure, cases)
     start, length = cases.z[0], cases.z[-1] - cases.z[0]
     first, second = (
         int(np.abs(cases.z - start - fraction * length).argmin()) for fraction in (1 / 3, 2 / 3)

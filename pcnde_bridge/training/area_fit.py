@@ -10,49 +10,42 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.protocol import Engine, Stage
 from pcnde_bridge.engines.staged import anchor
-from pcnde_bridge.engines.types import Fit, FourierAreaInputs, IntermediateAreaInputs, OnIteration
+from pcnde_bridge.engines.types import Fit, FitData, OnIteration, ignore
 from pcnde_bridge.training.least_squares import solve_per_point
 
 FitStage = Callable[[str, Any, Array], Array]
 """Fits a stage, given its name, inputs and target; returns its parameters."""
 
 
-def fit_area_stage(
-    stage: Stage,
-    inputs: Any,
-    target: Array,
-    grid: Grid,
-    config: PCNDEConfig,
-    on_iteration: OnIteration | None = None,
-) -> Fit:
+def fit_area_stage(stage: Stage, data: FitData, on_iteration: OnIteration = ignore) -> Fit:
     """Fit a, b of S = known + a(z)·f + b(z)·g to the last cycle.
 
     The stage itself gives known, f and g.
 
     Parameters
     ----------
-    stage, inputs, target, grid, config, on_iteration
-        Stage of an engine, and arguments of its ``fit``.
+    stage : Stage
+        Stage of an engine.
+    data, on_iteration
+        Arguments of its ``fit``.
 
     Returns
     -------
     Fit
         a and b, each of shape (z,), as one vector.
     """
+    inputs, target, grid, config = data
     n_times, n_points = target.shape[1:]
 
     def solve(a: float, b: float) -> Array:
-        vector = np.repeat([a, b], n_points)
-        return stage.solve(vector, inputs, grid, config)[:, -n_times:]
+        return stage.solve(np.repeat([a, b], n_points), inputs, grid, config)[:, -n_times:]
 
     known = solve(0.0, 0.0)
     columns = [solve(1.0, 0.0) - known, solve(0.0, 1.0) - known]
     unknowns, loss = solve_per_point(columns, target - known)
-    if on_iteration is not None:
-        on_iteration(1, loss)
+    on_iteration(1, loss)
     return Fit(unknowns.ravel(), np.array([loss]), True, "least squares")
 
 
@@ -73,9 +66,9 @@ def fit_area(
     dict of arrays
         Parameters by the names of the stages.
     """
-    inputs = IntermediateAreaInputs(flow, cases.area_undeformed)
+    inputs = flow, cases.area_undeformed
     intermediate = fit("intermediate_area", inputs, cases.area)
     cycles = engine.intermediate_area.solve(intermediate, inputs, cases.grid, config)
     start = cycles[:, anchor(cases.n_times, config)]
-    fourier = fit("fourier_area", FourierAreaInputs(flow, start), cases.area)
+    fourier = fit("fourier_area", (flow, start), cases.area)
     return {"intermediate_area": intermediate, "fourier_area": fourier}

@@ -64,8 +64,8 @@ class Checkpoint(Generic[State]):
         # Parameters are stored once more after each coupling.
         steps, (_, arrays) = self._procedure.steps(first), self._procedure.to_archive(first)
         copies = 1 + sum(step.task == "coupling" for step in steps)
-        numbers = copies * sum(array.size for array in arrays.values())
-        numbers += 10 * self._procedure.count_iterations(first)  # six numbers and a text each
+        numbers = 10 * self._procedure.count_iterations(first)  # six numbers and a text each
+        numbers += copies * sum(array.size for array in arrays.values())
         # Two files are there while a third is written.
         check_writable(self.path, 3 * 8 * numbers + _OVERHEAD)
 
@@ -142,7 +142,7 @@ class Checkpoint(Generic[State]):
             "config": run.config.to_dict(),
             "cases": run.cases.fingerprint(),
             "provenance": provenance(run.cases, run.engine, state.seed),
-            "units": len(run.steps(state)),
+            "steps": len(run.steps(state)),
         }
         arrays |= histories.to_arrays(state.history)
         write_archive(self.path, *run.checkpoint_format, facts, arrays)

@@ -19,8 +19,8 @@ from __future__ import annotations
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.parameters import layer_sizes
+from pcnde_bridge.engines.types import FitData
+from pcnde_bridge.training.lbfgs import Options
 from pcnde_bridge.training.least_squares import solve_normal
 from pcnde_bridge.training.variable_projection import Projection, VariableProjection
 from pcnde_bridge.training.whitening import Whitening
@@ -33,43 +33,31 @@ class Collocation(VariableProjection):
 
     Parameters
     ----------
-    flow : array of shape (case, time, z)
-        Reference Q of all training cases, mL/s.
-    area : array of shape (case, time, z)
-        S that the network sees, cm².
+    data : FitData
+        Area that the network sees, among the stage's inputs; reference Q of all training cases;
+        points; network and settings.
     weight : array of shape (case,)
         Weight of each case's squared error.
-    z : array of shape (z,)
-        Points, cm.
     whitening : Whitening
         Coordinates of the network's first layer.
-    config : PCNDEConfig
-        Network and settings.
     """
 
-    def __init__(
-        self,
-        flow: Array,
-        area: Array,
-        weight: Array,
-        z: Array,
-        whitening: Whitening,
-        config: PCNDEConfig,
-    ) -> None:
-        settings, self._z = config.full_batch, z - z[0]
+    def __init__(self, data: FitData, weight: Array, whitening: Whitening) -> None:
+        (_, area), flow, grid, config = data
+        settings, z = config.full_batch, grid.z
+        self._z = z - z[0]
         self._scale = 1.0 if config.flow.loss == "sum" else 1 / flow.size
         unit = self._scale * float(np.sum(flow**2))
         self._decay = settings.weight_decay * unit
         seen = np.concatenate([flow, area], axis=1)
         inputs = np.moveaxis(seen, 1, 2).reshape(-1, seen.shape[1])
-        widths = layer_sizes("flow", config, flow.shape[1], z.size)
-        limits = settings, settings.collocation_iterations, unit
-        super().__init__(inputs, whitening, widths, config.flow.activation, *limits)
+        limits = settings.memory, settings.weight_decay, settings.collocation_iterations
+        super().__init__(inputs, whitening, config.flow, flow.shape[1], Options(*limits, unit))
         gained = np.moveaxis(flow - flow[:, :, :1], 1, 2)
         self._shape = gained.shape[:2]
         # Rows have the root of the weight, so that their squares have the weight.
         self._root = np.repeat(np.sqrt(weight), z.size)[:, None]
-        self._target: Array = self._root * gained.reshape(-1, gained.shape[2])
+        self._target = self._root * gained.reshape(-1, gained.shape[2])
         self._square = self._scale * float(np.sum(self._target**2))
 
     def project(self, hidden: Array) -> Projection:
@@ -91,8 +79,7 @@ class Collocation(VariableProjection):
         h = hidden.reshape(*self._shape, -1)
         integral = cumulative_trapezoid(h, self._z, axis=1, initial=0)
         z = np.broadcast_to(self._z[:, None], (*self._shape, 1))
-        design: Array = np.concatenate([integral, z], axis=2).reshape(len(self._root), -1)
-        return self._root * design
+        return self._root * np.concatenate([integral, z], axis=2).reshape(len(self._root), -1)
 
     def _design_gradient(self, gradient: Array) -> Array:
         """Return the gradient with respect to h, given that with respect to ∫h dz'."""

@@ -13,10 +13,13 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import anchor
-from pcnde_bridge.engines.types import Fit, FlowInputs, OnIteration
+from pcnde_bridge.engines.types import Fit, FitData, OnIteration
 from pcnde_bridge.training.collocation import Collocation
-from pcnde_bridge.training.lbfgs import minimize
+from pcnde_bridge.training.lbfgs import Options, minimize
 from pcnde_bridge.training.whitening import Whitening
+
+RunNumbered = Callable[[int, Callable[[OnIteration], Fit]], Array]
+"""Runs and records a fit, given its number, from 1; returns its parameters."""
 
 _SAMPLES = 4000  # about this number of the network's inputs gives their spread
 _AGREEMENT = 0.5  # smallest squared correlation of stored volume and flow that gives â
@@ -67,8 +70,7 @@ def balanced_flow(cases: Cases, config: PCNDEConfig) -> Array:
     slope = -(change - change.mean(axis=0)) / (cycles * cases.period * a_hat)
     mean = cumulative_trapezoid(slope, z, axis=1, initial=0)
     current = flow.mean(axis=1) - flow[:, :, 0].mean(axis=1)[:, None]
-    balanced: Array = flow + (mean - current)[:, None]
-    return balanced
+    return flow + (mean - current)[:, None]
 
 
 def amplitude_weight(inflow: Array, exponent: float) -> Array:
@@ -91,23 +93,15 @@ def amplitude_weight(inflow: Array, exponent: float) -> Array:
         Weights of mean 1; all are 1 if no inflow varies.
     """
     amplitude = np.ptp(inflow, axis=1)
-    least = _OF_MEDIAN * np.median(amplitude), _OF_LARGEST * amplitude.max(), amplitude.min()
-    floor = max(least)
+    floor = max(_OF_MEDIAN * np.median(amplitude), _OF_LARGEST * amplitude.max(), amplitude.min())
     if floor == 0:
         return np.ones(len(inflow))
     weight = (np.maximum(amplitude, floor) / floor) ** -exponent  # the largest is 1
-    result: Array = weight / weight.mean()
-    return result
+    return weight / weight.mean()
 
 
 def fit_flow(
-    start: Array,
-    cases: Cases,
-    area: Array,
-    engine: Engine,
-    config: PCNDEConfig,
-    iterations: int,
-    run: Callable[[int, Callable[[OnIteration], Fit]], Array],
+    start: Array, cases: Cases, data: FitData, engine: Engine, iterations: int, run: RunNumbered
 ) -> Array:
     """Fit the flow network.
 
@@ -121,10 +115,10 @@ def fit_flow(
         Parameters to start from.
     cases : Cases
         All training cases.
-    area : array of shape (case, time, z)
-        S that the network sees, cm².
-    engine, config
-        Compute engine and settings.
+    data : FitData
+        Inputs of the stage, reference flow, grid and settings.
+    engine : Engine
+        Compute engine.
     iterations : int
         Largest number of iterations through the equation.
     run : callable
@@ -135,12 +129,12 @@ def fit_flow(
     array of shape (size,)
         Parameters of the network.
     """
-    settings = config.full_batch
+    config, settings = data.config, data.config.full_batch
     target = balanced_flow(cases, config)
+    data = data._replace(target=target)
     weight = amplitude_weight(cases.inflow, settings.amplitude_exponent)
-    whitening = _whitening(cases, area, config)
-    inputs = FlowInputs(cases.inflow, area)
-    evaluate = engine.flow.objective(inputs, target, weight, cases.grid, config)
+    whitening = _whitening(data)
+    evaluate = engine.flow.objective(data, weight)
     unit = float(np.mean(target**2)) * (target.size if config.flow.loss == "sum" else 1)
 
     def objective(coordinates: Array) -> tuple[float, Array]:
@@ -152,22 +146,22 @@ def fit_flow(
         return value if np.isfinite(value) else np.inf
 
     def fit_equation(start: Array, iterations: int, on_iteration: OnIteration) -> Fit:
-        limits = settings, iterations, unit, engine.lbfgs
-        found = minimize(objective, whitening.coordinates(start), *limits, on_iteration)
+        options = Options(settings.memory, settings.weight_decay, iterations, unit)
+        run = options, engine.lbfgs, on_iteration
+        found = minimize(objective, whitening.coordinates(start), *run)
         return replace(found, parameters=whitening.parameters(found.parameters))
 
     if config.flow.terms:
         return run(1, partial(fit_equation, start, iterations + settings.collocation_iterations))
-    known = Collocation(target, area, weight, cases.z, whitening, config)
-    found = run(1, partial(known.fit, start, engine.lbfgs))
+    found = run(1, partial(Collocation(data, weight, whitening).fit, start, engine.lbfgs))
     # If the equation diverges with the result, it does not with the start.
     return run(2, partial(fit_equation, min(found, start, key=loss), iterations))
 
 
-def _whitening(cases: Cases, area: Array, config: PCNDEConfig) -> Whitening:
+def _whitening(data: FitData) -> Whitening:
     """Return the whitened coordinates for inputs with Q = Q_in and the given area."""
-    inflow = np.broadcast_to(cases.inflow[:, :, None], area.shape)
-    seen = np.concatenate([inflow, area], axis=1)
-    samples = np.moveaxis(seen, 1, 2).reshape(-1, 2 * cases.n_times)
+    inflow, area = data.inputs
+    seen = np.concatenate([np.broadcast_to(inflow[:, :, None], area.shape), area], axis=1)
+    samples = np.moveaxis(seen, 1, 2).reshape(-1, seen.shape[1])
     samples = samples[:: max(1, len(samples) // _SAMPLES)]
-    return Whitening(samples, config.flow.hidden[0], config.full_batch.whitening)
+    return Whitening(samples, data.config.flow.hidden[0], data.config.full_batch.whitening)

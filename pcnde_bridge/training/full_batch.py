@@ -8,9 +8,8 @@ model like any other.  Only the way to the minimum differs:
   (:mod:`pcnde_bridge.training.flow_fit`);
 - (â, b̂) and (a, b) by least squares, point by point (:mod:`pcnde_bridge.training.area_fit`);
 - the pressure network's last layer by least squares inside the L-BFGS fit of the hidden
-  layers (:mod:`pcnde_bridge.training.temporal_pressure_fit`);
-- a₁, a₂ and b₁(t) by least squares inside the fit of b₂(t)
-  (:mod:`pcnde_bridge.training.spatial_pressure_fit`).
+  layers, and a₁, a₂ and b₁(t) by least squares inside the fit of b₂(t)
+  (:mod:`pcnde_bridge.training.pressure_fit`).
 
 The engine computes the flow and runs L-BFGS; everything else is small enough for numpy.
 """
@@ -24,13 +23,13 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.engines.types import FitData
 from pcnde_bridge.training.area_fit import fit_area_stage
 from pcnde_bridge.training.flow_fit import fit_flow
 from pcnde_bridge.training.history import RunFit
+from pcnde_bridge.training.pressure_fit import SpatialPressureFit, TemporalPressureFit
 from pcnde_bridge.training.procedure import Step
-from pcnde_bridge.training.spatial_pressure_fit import SpatialPressureFit
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
-from pcnde_bridge.training.temporal_pressure_fit import TemporalPressureFit
 
 
 class FullBatchTraining(StagedTraining):
@@ -57,17 +56,13 @@ class FullBatchTraining(StagedTraining):
         self, stage: str, inputs: Any, target: Array, step: Step, state: TrainingState, run: RunFit
     ) -> Array:
         """Fit a stage by its own algorithm."""
-        cases, config, engine = self.cases, self.config, self.engine
+        engine, settings = self.engine, self.config.full_batch
+        data = FitData(inputs, target, self.cases.grid, self.config)
         start, record = getattr(state.parameters, stage), partial(run, stage, step.epoch)
         if stage == "flow":
-            settings = config.full_batch
             iterations = settings.iterations if step.epoch == 1 else settings.later_iterations
-            return fit_flow(start, cases, inputs.area, engine, config, iterations, record)
-        if stage in ("intermediate_area", "fourier_area"):
-            data = getattr(engine, stage), inputs, target, cases.grid, config
-            return record(1, partial(fit_area_stage, *data))
-        if stage == "temporal_pressure":
-            optimize = TemporalPressureFit(inputs, target, config).fit
-        else:
-            optimize = SpatialPressureFit(inputs, target, cases.z, config).fit
-        return record(1, partial(optimize, start, engine.lbfgs))
+            return fit_flow(start, self.cases, data, engine, iterations, record)
+        if step.task == "coupling":
+            return record(1, partial(fit_area_stage, getattr(engine, stage), data))
+        fit = TemporalPressureFit if stage == "temporal_pressure" else SpatialPressureFit
+        return record(1, partial(fit(data).fit, start, engine.lbfgs))

@@ -13,7 +13,7 @@ import pandas as pd
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.engines.closure_parameters import CLOSURES
 from pcnde_bridge.engines.parameters import STAGES
-from pcnde_bridge.engines.types import Fit
+from pcnde_bridge.engines.types import Fit, ignore
 from pcnde_bridge.engines.types import OnIteration as OnLoss
 
 # Files store a stage as its position in this order.
@@ -55,10 +55,6 @@ OnIteration = Callable[[Iteration], None]
 
 RunFit = Callable[[str, int, int, Callable[[OnLoss], Fit]], Array]
 """Signature of :meth:`Recorder.run`."""
-
-
-def ignore(_: object) -> None:
-    """Do nothing: the default callback."""
 
 
 def to_frame(history: Sequence[Iteration]) -> pd.DataFrame:

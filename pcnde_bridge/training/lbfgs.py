@@ -2,27 +2,52 @@
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config.settings import FullBatch
-from pcnde_bridge.engines.types import LBFGS, Fit, Objective, OnIteration
-from pcnde_bridge.errors import SolveError
+from pcnde_bridge.engines.types import (
+    LBFGS,
+    Fit,
+    Objective,
+    OnIteration,
+    check_start,
+    ignore,
+    is_finite,
+)
 
 _DIVERGED = 10.0  # loss of a diverging trial step, relative to the first loss
 _TINY = 1e-300
 
 
+class Options(NamedTuple):
+    """Options of :func:`minimize`.
+
+    Attributes
+    ----------
+    memory : int
+        Pairs of steps and gradient changes that L-BFGS stores.
+    weight_decay : float
+        Factor of the squared parameters.
+    iterations : int
+        Largest number of iterations.
+    unit : float
+        Size of the loss, relative to which the weight decay is measured.
+    """
+
+    memory: int
+    weight_decay: float
+    iterations: int
+    unit: float
+
+
 def minimize(
     objective: Objective,
     start: Array,
-    settings: FullBatch,
-    iterations: int,
-    unit: float,
+    options: Options,
     lbfgs: LBFGS,
-    on_iteration: OnIteration | None = None,
+    on_iteration: OnIteration = ignore,
 ) -> Fit:
     """Minimize objective(x)/unit + weight_decay·|x|².
 
@@ -32,15 +57,11 @@ def minimize(
         Loss and gradient.  Where the loss is not finite the step is shortened.
     start : array of shape (n,)
         First iterate.
-    settings : FullBatch
-        Memory and weight decay.
-    iterations : int
-        Largest number of iterations.
-    unit : float
-        Size of the loss, relative to which the weight decay is measured.
+    options : Options
+        Unit of the loss, weight decay, and limits of the search.
     lbfgs : callable
-        Runs the iterations; see :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`.
-    on_iteration : callable, optional
+        Runs the iterations.
+    on_iteration : callable
         Called with the number and loss of each iteration; may raise to stop.
 
     Raises
@@ -48,18 +69,15 @@ def minimize(
     SolveError
         If the loss is not finite at the start.
     """
-    first, _ = objective(start)
-    if not math.isfinite(first):
-        raise SolveError(
-            f"The loss is not finite at the first parameters of the fit (loss {first}): the "
-            "equation diverges there. Check the data's units, or start from another seed."
-        )
-    decay, losses, last = settings.weight_decay, [first], start
+    memory, decay, iterations, unit = options
+    first, gradient = objective(start)
+    check_start(first, gradient)
+    losses, last = [first], start
     ceiling = _DIVERGED * (first / unit + decay * float(start @ start))
 
     def evaluate(x: Array) -> tuple[float, Array]:
         loss, gradient = objective(x)
-        if not (math.isfinite(loss) and np.isfinite(gradient).all()):
+        if not is_finite(loss, gradient):
             # A wall that rises from the last iterate on.
             way = x - last
             return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
@@ -69,10 +87,9 @@ def minimize(
         nonlocal last
         last = x
         losses.append((value - decay * float(x @ x)) * unit)
-        if on_iteration is not None:
-            on_iteration(len(losses) - 1, losses[-1])
+        on_iteration(len(losses) - 1, losses[-1])
 
-    lbfgs(evaluate, start, settings.memory, iterations, accept)
+    lbfgs(evaluate, start, memory, iterations, accept)
     converged = len(losses) <= iterations
     message = "loss falls no more" if converged else "all iterations done"
     return Fit(last, np.array(losses), converged, message)

@@ -57,5 +57,4 @@ def solve_normal(normal: Array, right: Array) -> Array:
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
     scaled = scale[..., :, None] * normal * scale[..., None, :]
     inverse = np.linalg.pinv(scaled, rcond=_RANK, hermitian=True)
-    result: Array = scale * np.einsum("...jk,...k->...j", inverse, scale * right)
-    return result
+    return scale * np.einsum("...jk,...k->...j", inverse, scale * right)

@@ -11,6 +11,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.engines.types import FitData, StageInputs
 from pcnde_bridge.training.history import RunFit
 from pcnde_bridge.training.procedure import Step
 from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
@@ -22,9 +23,9 @@ def random_batches(cases: Cases, config: PCNDEConfig, seed: int) -> tuple[Positi
     return tuple(order[i : i + config.batch_size] for i in range(0, len(cases), config.batch_size))
 
 
-def select(inputs: Any, batch: Positions | slice) -> Any:
+def select(inputs: StageInputs, batch: Positions | slice) -> StageInputs:
     """Return the inputs of a stage for some of the cases."""
-    return type(inputs)(*(array[batch] for array in inputs))
+    return tuple(array[batch] for array in inputs)
 
 
 class MinibatchTraining(StagedTraining):
@@ -65,7 +66,7 @@ class MinibatchTraining(StagedTraining):
         for number, batch in batches:
             if stage == "fourier_area" and config.fourier_area.restart:
                 vector = np.repeat([1.0, 0.0], self.cases.n_points)
-            data = select(inputs, batch), target[batch], self.cases.grid, config
-            optimize = partial(getattr(self.engine, stage).fit, vector, *data, iterations)
+            data = FitData(select(inputs, batch), target[batch], self.cases.grid, config)
+            optimize = partial(getattr(self.engine, stage).fit, vector, data, iterations)
             vector = run(stage, step.epoch, number, optimize)
         return vector

@@ -17,12 +17,7 @@ from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines.parameters import STAGES, Parameters, initial_parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages, solve_area, undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    ModelInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training.area_fit import FitStage, fit_area
 from pcnde_bridge.training.history import Recorder, RunFit
@@ -143,7 +138,7 @@ class StagedTraining(Procedure[TrainingState]):
         fit = partial(self.fit_stage, step=step, state=state, run=recorder.run)
         parameters = state.parameters
         if step.task == "flow":
-            inputs = FlowInputs(self.cases.inflow, state.area)
+            inputs = self.cases.inflow, state.area
             fitted = parameters.replace(flow=fit("flow", inputs, self.cases.flow))
             return replace(state, parameters=fitted)
         if step.task == "coupling":
@@ -165,16 +160,15 @@ class StagedTraining(Procedure[TrainingState]):
         s_u = cases.area_undeformed
         known = parameters.without_pressure()
         solved = predict_by_stages(self.engine, known, ModelInputs(cases.inflow, s_u, grid), config)
-        inputs = TemporalPressureInputs(solved.flow, solved.area, s_u)
-        if stage == "temporal_pressure":
-            return parameters.replace(temporal_pressure=fit(stage, inputs, target))
-        network = self.engine.temporal_pressure
-        temporal = network.solve(parameters.temporal_pressure, inputs, grid, config)
-        spatial_inputs = SpatialPressureInputs(temporal, solved.flow, s_u)
-        return parameters.replace(spatial_pressure=fit(stage, spatial_inputs, target))
+        inputs: Any = solved.flow, solved.area, s_u
+        if stage == "spatial_pressure":
+            network, vector = self.engine.temporal_pressure, parameters.temporal_pressure
+            temporal = network.solve(vector, inputs, grid, config)
+            inputs = temporal, solved.flow, s_u
+        return parameters.replace(**{stage: fit(stage, inputs, target)})
 
     def _flow(self, parameters: Parameters, area: Array) -> Array:
-        inputs = FlowInputs(self.cases.inflow, area)
+        inputs = self.cases.inflow, area
         return self.engine.flow.solve(parameters.flow, inputs, self.cases.grid, self.config)
 
     def _area(self, parameters: Parameters, flow: Array) -> Array:

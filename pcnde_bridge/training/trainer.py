@@ -19,9 +19,10 @@ from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import ignore
 from pcnde_bridge.training.checkpoint import Checkpoint
 from pcnde_bridge.training.full_batch import FullBatchTraining
-from pcnde_bridge.training.history import Iteration, OnIteration, Recorder, ignore
+from pcnde_bridge.training.history import Iteration, OnIteration, Recorder
 from pcnde_bridge.training.minibatch import MinibatchTraining
 from pcnde_bridge.training.procedure import Procedure, State
 from pcnde_bridge.training.progress import TrainingProgress
@@ -130,10 +131,10 @@ class Trainer(Generic[State]):
             return first
         # A full or read-only disk is reported now, not after the first epoch.
         self._checkpoint.check(first)
-        state = self._checkpoint.read(seed)
-        if state is None:
-            self._save(first)
-        return state or first
+        if (state := self._checkpoint.read(seed)) is not None:
+            return state
+        self._save(first)
+        return first
 
     def run(self, state: State, until: int | None = None) -> State:
         """Run the steps that are not finished: all, or until ``until`` steps are finished.

@@ -10,17 +10,19 @@ cases and points, and so must not depend on the number of threads.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config.settings import FullBatch
+from pcnde_bridge.config.settings import FlowStage, TemporalPressureStage
 from pcnde_bridge.engines.parameters import unpack_network
-from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration
-from pcnde_bridge.training.lbfgs import minimize
+from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration, ignore
+from pcnde_bridge.training.lbfgs import Options, minimize
 from pcnde_bridge.training.whitening import Whitening
+
+Network = FlowStage | TemporalPressureStage
 
 Projection = tuple[Array, float, Array]
 """Last layer (hidden + 1, out), its loss, and the loss's gradient (sample, hidden)."""
@@ -35,38 +37,30 @@ class VariableProjection(ABC):
         Inputs of the network.
     whitening : Whitening
         Coordinates of the first layer.
-    widths : sequence of int
-        Widths of the network from input to output.
-    activation : str
-        Activation function of the hidden layers: ``tanh``, ``gelu``, ``relu``, ``sigmoid`` or
-        ``swish``.
-    settings, iterations, unit
-        Arguments of :func:`pcnde_bridge.training.lbfgs.minimize`.
+    network : FlowStage or TemporalPressureStage
+        Widths and activation function of the hidden layers.
+    outputs : int
+        Number of outputs of the network.
+    options : Options
+        Options of :func:`pcnde_bridge.training.lbfgs.minimize`.
     """
 
     def __init__(
-        self,
-        inputs: Array,
-        whitening: Whitening,
-        widths: Sequence[int],
-        activation: str,
-        settings: FullBatch,
-        iterations: int,
-        unit: float,
+        self, inputs: Array, whitening: Whitening, network: Network, outputs: int, options: Options
     ) -> None:
         self._whitening, self._inputs = whitening, whitening.inputs(inputs)
-        self._limits = settings, iterations, unit
-        self._hidden_widths = self._inputs.shape[1], *widths[1:-1]
-        self._last = (widths[-2] + 1) * widths[-1]  # parameters of the last layer
-        self._activation, self._slope = _ACTIVATIONS[activation]
+        self._options = options
+        self._hidden_widths = self._inputs.shape[1], *network.hidden
+        self._last = (network.hidden[-1] + 1) * outputs  # parameters of the last layer
+        self._activation, self._slope = _ACTIVATIONS[network.activation]
 
     @abstractmethod
     def project(self, hidden: Array) -> Projection:
         """Solve the least squares for the output of the last hidden layer, (sample, hidden)."""
 
-    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration | None = None) -> Fit:
+    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration = ignore) -> Fit:
         """Fit the network from given parameters."""
-        run = *self._limits, lbfgs, on_iteration
+        run = self._options, lbfgs, on_iteration
         found = minimize(self.objective, self.coordinates(start), *run)
         layer, _, _ = self.project(self._forward(found.parameters)[0])
         coordinates = np.concatenate([found.parameters, layer.ravel()])
@@ -106,8 +100,7 @@ def _sigmoid(x: Array) -> Array:
 
 
 def _gelu_tanh(x: Array) -> Array:
-    value: Array = np.tanh(_ROOT * (x + 0.044715 * x**3))
-    return value
+    return np.tanh(_ROOT * (x + 0.044715 * x**3))
 
 
 def _gelu_slope(x: Array, _: Array) -> Array:

@@ -40,8 +40,7 @@ class Whitening:
 
     def inputs(self, inputs: Array) -> Array:
         """Return ξ' of inputs, shape (..., component)."""
-        result: Array = (inputs - self._mean) @ (self._components / self._size)
-        return result
+        return (inputs - self._mean) @ (self._components / self._size)
 
     def coordinates(self, parameters: Array) -> Array:
         """Return V, d and the other layers' parameters, which do not change."""

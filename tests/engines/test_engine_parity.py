@@ -11,14 +11,7 @@ from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.parameters import STAGES, initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    ModelInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.pcnde import PCNDE
@@ -71,18 +64,18 @@ def problem(small_cases):
     area = undeformed(cases.area_undeformed, cases.n_times)
     pressure = cases.pressure / PAPER.physics.reference_pressure
     pairs = {
-        "flow": (FlowInputs(cases.inflow, area), cases.flow),
+        "flow": ((cases.inflow, area), cases.flow),
         "intermediate_area": (
-            IntermediateAreaInputs(cases.flow, cases.area_undeformed),
+            (cases.flow, cases.area_undeformed),
             cases.area,
         ),
-        "fourier_area": (FourierAreaInputs(cases.flow, cases.area_undeformed), cases.area),
+        "fourier_area": ((cases.flow, cases.area_undeformed), cases.area),
         "temporal_pressure": (
-            TemporalPressureInputs(cases.flow, cases.area, cases.area_undeformed),
+            (cases.flow, cases.area, cases.area_undeformed),
             pressure,
         ),
         "spatial_pressure": (
-            SpatialPressureInputs(pressure, cases.flow, cases.area_undeformed),
+            (pressure, cases.flow, cases.area_undeformed),
             pressure,
         ),
     }
@@ -131,7 +124,7 @@ def test_gradients_agree_with_finite_differences(engines, small_cases, problem, 
     if stage == "flow":
         # Where S has a kink at every point, parameters move steps across kinks.
         taper = np.linspace(1.0, 0.6, small_cases.n_points)
-        inputs = FlowInputs(small_cases.inflow, small_cases.area[:, :, :1] * taper)
+        inputs = small_cases.inflow, small_cases.area[:, :, :1] * taper
     vector = getattr(some_parameters(config, small_cases), stage)
 
     def loss_and_gradient(x):
@@ -152,7 +145,9 @@ def test_gradients_agree_with_finite_differences(engines, small_cases, problem, 
 def test_fits_take_the_same_path(engines, config, small_cases, problem, stage):
     grid, pairs = problem
     vector = getattr(some_parameters(config, small_cases), stage)
-    julia, jax = (getattr(e, stage).fit(vector, *pairs[stage], grid, config, 5) for e in engines)
+    julia, jax = (
+        getattr(e, stage).fit(vector, FitData(*pairs[stage], grid, config), 5) for e in engines
+    )
     np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
     assert (julia.converged, julia.message) == (jax.converged, jax.message)
     assert julia.losses[-1] < julia.losses[0]
@@ -164,7 +159,9 @@ def test_a_line_search_that_fails_starts_anew_in_both(engines, small_cases, prob
     config = PAPER.replace(optimizer={"max_backtracks": 1, "initial_step_norm": 1e3})
     grid, pairs = problem
     vector = getattr(some_parameters(config, small_cases), stage)
-    julia, jax = (getattr(e, stage).fit(vector, *pairs[stage], grid, config, 3) for e in engines)
+    julia, jax = (
+        getattr(e, stage).fit(vector, FitData(*pairs[stage], grid, config), 3) for e in engines
+    )
     np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
     np.testing.assert_allclose(julia.parameters, jax.parameters, rtol=1e-6, atol=1e-9)
     assert (julia.converged, julia.message) == (jax.converged, jax.message)
@@ -196,8 +193,10 @@ def test_first_batch_of_the_paper_takes_the_same_path(engines, published_cases):
     grid = cases.grid
     area = undeformed(cases.area_undeformed, cases.n_times)[batch]
     first = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
-    inputs = FlowInputs(cases.inflow[batch], area)
-    julia, jax = (e.flow.fit(first, inputs, cases.flow[batch], grid, PAPER, 5) for e in engines)
+    inputs = cases.inflow[batch], area
+    julia, jax = (
+        e.flow.fit(first, FitData(inputs, cases.flow[batch], grid, PAPER), 5) for e in engines
+    )
     np.testing.assert_allclose(julia.losses, jax.losses, rtol=1e-6)
     (_, by_julia), (_, by_jax) = (
         loss_and_gradient_of(e.flow, first, inputs, cases.flow[batch], grid, PAPER) for e in engines

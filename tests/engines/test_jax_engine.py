@@ -16,14 +16,7 @@ from pcnde_bridge.config import PAPER, PUBLISHED_CODE
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    ModelInputs,
-    SpatialPressureInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 
@@ -66,17 +59,17 @@ def stage_case(name, cases):
     p_ref = PAPER.physics.reference_pressure
     p = cases.pressure / p_ref
     return {
-        "flow": (FlowInputs(cases.inflow, cases.area[:, :, :1] * taper), cases.flow),
+        "flow": ((cases.inflow, cases.area[:, :, :1] * taper), cases.flow),
         "intermediate_area": (
-            IntermediateAreaInputs(cases.flow, cases.area_undeformed),
+            (cases.flow, cases.area_undeformed),
             cases.area,
         ),
-        "fourier_area": (FourierAreaInputs(cases.flow, cases.area[:, 0]), cases.area),
+        "fourier_area": ((cases.flow, cases.area[:, 0]), cases.area),
         "temporal_pressure": (
-            TemporalPressureInputs(cases.flow, cases.area, cases.area_undeformed),
+            (cases.flow, cases.area, cases.area_undeformed),
             p,
         ),
-        "spatial_pressure": (SpatialPressureInputs(p, cases.flow, cases.area_undeformed), p),
+        "spatial_pressure": ((p, cases.flow, cases.area_undeformed), p),
     }[name]
 
 
@@ -109,7 +102,7 @@ def test_flow_solves_the_neural_ode_in_the_full_state(engine, grid, parameters, 
         span = case.z[i : i + 2]
         solution = solve_ivp(right_hand_side, span, expected[:, i], rtol=1e-11, atol=1e-13)
         expected[:, i + 1] = solution.y[:, -1]
-    inputs = FlowInputs(case.inflow, case.area)
+    inputs = case.inflow, case.area
     tight = engine.flow.solve(parameters.flow, inputs, grid, TIGHT)[0]
     np.testing.assert_allclose(tight, expected, rtol=1e-6, atol=1e-7)
     loose = engine.flow.solve(parameters.flow, inputs, grid, PAPER)[0]
@@ -215,7 +208,7 @@ def test_spatial_pressure_is_constant_tanh_constant(engine, grid, parameters, sm
     s_u = small_cases.area_undeformed[case]
     q = np.interp(2.0, grid.z, small_cases.flow[case, t])
     drop = pressure_drop(q, s_u[0], s_u.min(), 0.5, turbulent_coefficient=1.52 + a2) / 133_322.0
-    upstream = inputs.temporal[case, t].mean() + a1
+    upstream = inputs[0][case, t].mean() + a1
     expected = np.empty(21)
     for i, z in enumerate(grid.z):
         step = np.tanh(10 * b2[t] * (min(z, 8 / 3) - 2))
@@ -274,9 +267,9 @@ def test_loss_is_the_mean_square_and_padding_does_not_count(
         for i in (0, 3, 6)
     ]
     np.testing.assert_allclose(gradient, np.mean([g for _, g in parts], axis=0), rtol=1e-5)
-    padded = getattr(engine, stage).losses(vector[None], inputs, target, grid, TIGHT)
+    padded = getattr(engine, stage).losses(vector[None], FitData(inputs, target, grid, TIGHT))
     assert padded == pytest.approx([loss], rel=1e-12)
-    fit = getattr(engine, stage).fit(vector, inputs, target, grid, TIGHT, 1)
+    fit = getattr(engine, stage).fit(vector, FitData(inputs, target, grid, TIGHT), 1)
     descent = fit.parameters - vector  # along the gradient
     np.testing.assert_allclose(
         descent / np.linalg.norm(descent),
@@ -297,7 +290,7 @@ def test_sum_of_squares_is_the_published_codes_loss(engine, grid, parameters, sm
 def test_a_case_does_not_depend_on_the_cases_beside_it(engine, grid, parameters, small_cases):
     inputs, _ = stage_case("flow", small_cases)
     together = engine.flow.solve(parameters.flow, inputs, grid, PAPER)
-    alone = FlowInputs(inputs.inflow[4:5], inputs.area[4:5])
+    alone = tuple(array[4:5] for array in inputs)
     np.testing.assert_allclose(
         engine.flow.solve(parameters.flow, alone, grid, PAPER)[0], together[4], rtol=1e-8
     )
@@ -305,7 +298,7 @@ def test_a_case_does_not_depend_on_the_cases_beside_it(engine, grid, parameters,
 
 def test_more_cases_than_one_batch(engine, grid, parameters, small_cases):
     inputs, _ = stage_case("flow", small_cases)
-    many = FlowInputs(np.tile(inputs.inflow, (12, 1)), np.tile(inputs.area, (12, 1, 1)))
+    many = (np.tile(inputs[0], (12, 1)), np.tile(inputs[1], (12, 1, 1)))
     found = engine.flow.solve(parameters.flow, many, grid, EQUAL)
     assert found.shape == (144, 20, 21)
     np.testing.assert_allclose(found[132:], found[:12], rtol=1e-12)
@@ -326,7 +319,7 @@ def test_one_shape_is_compiled_once(engine, grid, parameters, small_cases):
     stage = type(engine)().fourier_area
     for count in (9, 12, 10, 12):
         inputs, target = stage_case("fourier_area", small_cases.select(slice(0, count)))
-        stage.fit(parameters.fourier_area, inputs, target, grid, PAPER, 1)
+        stage.fit(parameters.fourier_area, FitData(inputs, target, grid, PAPER), 1)
     assert stage._value_and_gradient._cache_size() == 1
 
 
@@ -334,13 +327,12 @@ def test_the_users_jax_precision_stays_as_it_was():
     code = (
         "import numpy as np, jax.numpy as jnp\n"
         "from pcnde_bridge.engines import select_engine\n"
-        "from pcnde_bridge.engines.types import *\n"
         "from pcnde_bridge.data.grid import Grid\n"
         "from pcnde_bridge import PAPER\n"
         "e = select_engine('jax')\n"
         "q = np.ones((1, 20, 5)); p = np.ones(10)\n"
         "g = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
-        "s = e.fourier_area.solve(p, FourierAreaInputs(q, q[:, 0]), g, PAPER)\n"
+        "s = e.fourier_area.solve(p, (q, q[:, 0]), g, PAPER)\n"
         "assert s.dtype == np.float64, s.dtype\n"
         "assert jnp.ones(1).dtype == jnp.float32\n"
     )
@@ -382,7 +374,7 @@ def test_predict_without_pressure_stages(engine, grid, parameters, small_cases):
 
 
 def test_the_last_layer_may_have_another_width_than_the_first(engine, grid, small_cases):
-    inputs = FlowInputs(small_cases.inflow, small_cases.area)
+    inputs = small_cases.inflow, small_cases.area
     found = []
     for flow in ({"steps": 200}, {"rtol": 1e-10, "atol": 1e-12, "max_steps": 1024}):
         config = PAPER.replace(flow={"hidden": (6, 4), **flow})

@@ -36,7 +36,7 @@ from pcnde_bridge.engines.julia.environment import (
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import FlowInputs, FourierAreaInputs, ModelInputs
+from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.errors import (
     EngineError,
     EngineUnavailableError,
@@ -292,9 +292,9 @@ def engine():
 def flow_problem(small_cases):
     cases = small_cases
     grid = cases.grid
-    inputs = FlowInputs(cases.inflow, undeformed(cases.area_undeformed, cases.n_times))
+    inputs = cases.inflow, undeformed(cases.area_undeformed, cases.n_times)
     vector = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0).flow
-    return vector, inputs, cases.flow, grid, PAPER
+    return vector, FitData(inputs, cases.flow, grid, PAPER)
 
 
 @pytest.mark.julia
@@ -318,10 +318,10 @@ def test_status_of_the_running_julia(engine):
 
 @pytest.mark.julia
 def test_results_are_numpys_own(engine, flow_problem):
-    vector, inputs, target, grid, config = flow_problem
+    vector, (inputs, target, grid, config) = flow_problem
     flow = engine.flow.solve(vector, inputs, grid, config)
     _, gradient = loss_and_gradient_of(engine.flow, vector, inputs, target, grid, config)
-    fit = engine.flow.fit(vector, inputs, target, grid, config, 2)
+    fit = engine.flow.fit(vector, FitData(inputs, target, grid, config), 2)
     for array in (flow, gradient, fit.parameters, fit.losses):
         assert type(array) is np.ndarray and array.dtype == np.float64
         assert array.flags.owndata and array.flags.writeable and array.flags.c_contiguous
@@ -329,21 +329,22 @@ def test_results_are_numpys_own(engine, flow_problem):
 
 @pytest.mark.julia
 def test_any_memory_layout_will_do(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     expected = engine.flow.solve(vector, inputs, grid, config)
     frozen = vector.copy()
     frozen.flags.writeable = False
-    area = np.asfortranarray(inputs.area.astype(np.float64))
-    twice = np.repeat(inputs.inflow, 2, axis=1)[:, ::2]
-    found = engine.flow.solve(frozen, FlowInputs(twice, area), grid, config)
+    area = np.asfortranarray(inputs[1].astype(np.float64))
+    twice = np.repeat(inputs[0], 2, axis=1)[:, ::2]
+    found = engine.flow.solve(frozen, (twice, area), grid, config)
     np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.julia
 def test_an_objective_keeps_no_view_of_its_inputs(engine, flow_problem):
-    vector, inputs, target, grid, config = flow_problem
-    arrays = [inputs.inflow.copy(), inputs.area.copy(), target.copy(), np.ones(len(target), bool)]
-    evaluate = engine.flow.objective(FlowInputs(*arrays[:2]), *arrays[2:], grid, config)
+    vector, (inputs, target, grid, config) = flow_problem
+    arrays = [*(a.copy() for a in (*inputs, target)), np.ones(len(target), bool)]
+    data = FitData(tuple(arrays[:2]), arrays[2], grid, config)
+    evaluate = engine.flow.objective(data, arrays[3])
     loss, gradient = evaluate(vector)
     for array in arrays:
         array[:] = 0
@@ -354,22 +355,21 @@ def test_an_objective_keeps_no_view_of_its_inputs(engine, flow_problem):
 
 @pytest.mark.julia
 def test_a_case_does_not_depend_on_its_neighbours(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     together = engine.flow.solve(vector, inputs, grid, config)
-    alone = engine.flow.solve(
-        vector, FlowInputs(inputs.inflow[[7]], inputs.area[[7]]), grid, config
-    )
+    alone = engine.flow.solve(vector, tuple(array[[7]] for array in inputs), grid, config)
     np.testing.assert_array_equal(together[[7]], alone)
 
 
 @pytest.mark.julia
 def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
-    vector, inputs, target, grid, config = flow_problem
+    vector, (inputs, target, grid, config) = flow_problem
     chosen = np.arange(len(target)) % 3 == 1
-    objective = engine.flow.objective(inputs, target, chosen, grid, config)
-    some = FlowInputs(inputs.inflow[chosen], inputs.area[chosen])
+    data = FitData(inputs, target, grid, config)
+    objective = engine.flow.objective(data, chosen)
+    some = tuple(array[chosen] for array in inputs)
     loss, gradient = loss_and_gradient_of(engine.flow, vector, some, target[chosen], grid, config)
-    other = engine.flow.objective(inputs, target, ~chosen, grid, config)
+    other = engine.flow.objective(data, ~chosen)
     for _ in range(2):  # Julia keeps one problem at a time
         found, by_objective = objective(vector)
         assert found == loss
@@ -381,12 +381,13 @@ def test_an_objective_counts_the_chosen_cases(engine, flow_problem):
 @pytest.mark.parametrize("loss", ["mean", "sum"])
 @pytest.mark.parametrize("steps", [12, None])
 def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss, steps):
-    vector, inputs, target, grid, config = flow_problem
+    vector, (inputs, target, grid, config) = flow_problem
     config = config.replace(flow={"loss": loss, "steps": steps})
     weight = np.random.default_rng(0).uniform(0.2, 3.0, size=len(target))
     weight[::3] = 0
-    found, gradient = engine.flow.objective(inputs, target, weight, grid, config)(vector)
-    jax = select_engine("jax").flow.objective(inputs, target, weight, grid, config)
+    data = FitData(inputs, target, grid, config)
+    found, gradient = engine.flow.objective(data, weight)(vector)
+    jax = select_engine("jax").flow.objective(data, weight)
     expected, theirs = jax(vector)
     assert found == pytest.approx(expected, rel=1e-10)
     np.testing.assert_allclose(gradient, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
@@ -399,13 +400,13 @@ def test_both_engines_weigh_the_squares_of_the_cases(engine, flow_problem, loss,
 
 @pytest.mark.julia
 def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
-    vector, inputs, target, grid, config = flow_problem
+    vector, (inputs, target, grid, config) = flow_problem
     broken = np.full_like(vector, np.nan)
     with pytest.raises(SolveError, match=r"case 0.*units"):
         engine.flow.solve(broken, inputs, grid, config)
     assert loss_and_gradient_of(engine.flow, broken, inputs, target, grid, config)[0] == np.inf
     with pytest.raises(SolveError, match="not finite at the first parameters"):
-        engine.flow.fit(broken, inputs, target, grid, config, 2)
+        engine.flow.fit(broken, FitData(inputs, target, grid, config), 2)
     few = config.replace(flow={"max_steps": 2})
     with pytest.raises(SolveError):
         engine.flow.solve(vector, inputs, grid, few)
@@ -413,7 +414,7 @@ def test_a_solve_that_fails_is_a_solve_error(engine, flow_problem):
 
 @pytest.mark.julia
 def test_julias_errors_keep_their_words(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     with pytest.raises(EngineError, match=r"the network has \d+ parameters, not 10"):
         engine.flow.solve(vector[:10], inputs, grid, config)
 
@@ -443,13 +444,13 @@ def test_iterations_reach_python_and_errors_come_back(engine, flow_problem):
 @pytest.mark.parametrize("listening", [True, False])
 def test_ctrl_c_ends_a_fit(engine, flow_problem, listening):
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    patient = flow_problem[-1].replace(optimizer={"gradient_tolerance": 0.0})
+    vector, data = flow_problem
+    patient = data.config.replace(optimizer={"gradient_tolerance": 0.0})
+    run = vector, data._replace(config=patient), 1000
     with pytest.raises(KeyboardInterrupt):
         timer.start()
         for _ in range(20):
-            engine.flow.fit(
-                *flow_problem[:-1], patient, 1000, (lambda *_: None) if listening else None
-            )
+            engine.flow.fit(*run, *([lambda *_: None] if listening else []))
     timer.cancel()
     assert np.isfinite(engine.flow.fit(*flow_problem, 1).losses).all()
 
@@ -471,19 +472,20 @@ def test_a_ctrl_c_that_python_drops_ends_a_fit(engine, flow_problem, drop_ctrl_c
 
 @pytest.mark.julia
 def test_a_fork_is_refused(engine, flow_problem, monkeypatch):
+    vector, (inputs, _, grid, config) = flow_problem
     monkeypatch.setattr(engine._julia, "_process", -1)
     with pytest.raises(EngineError, match="spawn"):
-        engine.flow.solve(*flow_problem[:2], *flow_problem[3:])
+        engine.flow.solve(vector, inputs, grid, config)
 
 
 def _in_a_worker(problem):
-    vector, inputs, _, grid, config = problem
+    vector, (inputs, _, grid, config) = problem
     return JuliaEngine().flow.solve(vector, inputs, grid, config)
 
 
 @pytest.mark.julia
 def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         found = pool.apply(_in_a_worker, (flow_problem,))
     np.testing.assert_array_equal(found, engine.flow.solve(vector, inputs, grid, config))
@@ -513,10 +515,9 @@ def test_it_works_after_jax_and_leaves_main_alone():
         "import juliacall, numpy as np\n"
         "assert not juliacall.Main.seval('isdefined(Main, :PCNDECore)')\n"
         "from pcnde_bridge.config import PAPER\n"
-        "from pcnde_bridge.engines.types import FourierAreaInputs\n"
         "from pcnde_bridge.data.grid import Grid\n"
         "grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 5), 1.0)\n"
-        "inputs = FourierAreaInputs(np.ones((2, 20, 5)), np.ones((2, 5)))\n"
+        "inputs = (np.ones((2, 20, 5)), np.ones((2, 5)))\n"
         "area = engine.fourier_area.solve(np.ones(10), inputs, grid, PAPER)\n"
         "assert np.allclose(area, 2) and (jnp.arange(3.0) * 2 == before).all()\n"
     )
@@ -578,7 +579,7 @@ def test_two_threads_give_the_same_beside_pythons_threads(
 ):
     cases = small_cases
     parameters = initial_parameters(PAPER, cases.n_times, cases.n_points, seed=0)
-    grid, config = flow_problem[3:]
+    grid, config = flow_problem[1][2:]
     inputs = ModelInputs(cases.inflow, cases.area_undeformed, grid), config
     done = run(
         _THREADED,
@@ -613,7 +614,9 @@ engine.flow.fit(*problem, 1)
 @pytest.mark.julia
 @pytest.mark.skipif(os.name == "nt", reason="signals are sent otherwise there")
 def test_ctrl_c_ends_a_fit_with_two_threads(flow_problem):
-    problem = *flow_problem[:-1], flow_problem[-1].replace(optimizer={"gradient_tolerance": 0.0})
+    vector, data = flow_problem
+    patient = data.config.replace(optimizer={"gradient_tolerance": 0.0})
+    problem = vector, data._replace(config=patient)
     done = run(_INTERRUPTED, input=pickle.dumps(problem), JULIA_NUM_THREADS="2")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "interrupted"
@@ -621,7 +624,7 @@ def test_ctrl_c_ends_a_fit_with_two_threads(flow_problem):
 
 @pytest.mark.julia
 def test_another_thread_is_refused(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     with (
         ThreadPoolExecutor(1) as pool,
         pytest.raises(EngineError, match="in the thread that started it"),
@@ -631,7 +634,7 @@ def test_another_thread_is_refused(engine, flow_problem):
 
 @pytest.mark.julia
 def test_an_error_holds_nothing_of_julias(engine, flow_problem):
-    vector, inputs, _, grid, config = flow_problem
+    vector, (inputs, _, grid, config) = flow_problem
     with pytest.raises(EngineError) as caught:
         engine.flow.solve(vector[:10], inputs, grid, config)
     assert "Stacktrace" in str(caught.value.__cause__)
@@ -643,7 +646,7 @@ def test_an_error_holds_nothing_of_julias(engine, flow_problem):
 @pytest.mark.julia
 def test_many_small_calls_do_not_leak_warnings(engine, small_cases):
     grid = small_cases.grid
-    inputs = FourierAreaInputs(small_cases.flow, small_cases.area_undeformed)
+    inputs = small_cases.flow, small_cases.area_undeformed
     vector = np.ones(2 * small_cases.n_points)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -11,15 +11,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import STAGES, Parameters
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-    ModelInputs,
-    SpatialPressureInputs,
-    TemporalFlowInputs,
-    TemporalPressureInputs,
-)
+from pcnde_bridge.engines.types import ModelInputs
 
 
 @pytest.fixture(scope="module", params=["jax", pytest.param("julia", marks=pytest.mark.julia)])
@@ -59,33 +51,33 @@ def paper_grid(paper):
     ],
 )
 def test_flow(engine, paper, paper_grid, config, tolerance):
-    inputs = FlowInputs(paper["inflow"], paper["area"])
+    inputs = paper["inflow"], paper["area"]
     found = engine.flow.solve(paper["parameters_flow"], inputs, paper_grid, config)
     assert_near(found, paper["flow"], tolerance)
 
 
 def test_flow_with_physics_terms(engine, paper, paper_grid):
-    inputs = FlowInputs(paper["inflow"][:2] + 2.0, paper["area"][:2])
+    inputs = paper["inflow"][:2] + 2.0, paper["area"][:2]
     found = engine.flow.solve(paper["parameters_flow"], inputs, paper_grid, WITH_TERMS)
     assert_near(found, paper["flow_with_terms"], 1e-9)
 
 
 def test_intermediate_area(engine, paper, paper_grid):
-    inputs = IntermediateAreaInputs(paper["given_flow"], paper["area_undeformed"])
+    inputs = paper["given_flow"], paper["area_undeformed"]
     vector = paper["parameters_intermediate_area"]
     found = engine.intermediate_area.solve(vector, inputs, paper_grid, PAPER_CONFIG)
     assert_near(found, paper["intermediate_area"], 1e-13)
 
 
 def test_fourier_area(engine, paper, paper_grid):
-    inputs = FourierAreaInputs(paper["given_flow"], paper["area_undeformed"])
+    inputs = paper["given_flow"], paper["area_undeformed"]
     vector = paper["parameters_fourier_area"]
     found = engine.fourier_area.solve(vector, inputs, paper_grid, PAPER_CONFIG)
     assert_near(found, paper["fourier_area"], 1e-13)
 
 
 def test_temporal_pressure(engine, paper, paper_grid):
-    inputs = TemporalPressureInputs(paper["given_flow"], paper["area"], paper["area_undeformed"])
+    inputs = paper["given_flow"], paper["area"], paper["area_undeformed"]
     vector = paper["parameters_temporal_pressure"]
     found = engine.temporal_pressure.solve(vector, inputs, paper_grid, PAPER_CONFIG)
     assert_near(found, paper["temporal_pressure"], 1e-13)
@@ -93,9 +85,7 @@ def test_temporal_pressure(engine, paper, paper_grid):
 
 @pytest.mark.parametrize("form", ["continuous", "printed"])
 def test_spatial_pressure(engine, paper, paper_grid, form):
-    inputs = SpatialPressureInputs(
-        paper["temporal_pressure"], paper["given_flow"], paper["area_undeformed"]
-    )
+    inputs = paper["temporal_pressure"], paper["given_flow"], paper["area_undeformed"]
     config = PAPER_CONFIG.replace(spatial_pressure={"form": form})
     vector = paper["parameters_spatial_pressure"]
     found = engine.spatial_pressure.solve(vector, inputs, paper_grid, config)
@@ -103,7 +93,7 @@ def test_spatial_pressure(engine, paper, paper_grid, form):
 
 
 def test_temporal_flow(engine, paper, paper_grid):
-    inputs = TemporalFlowInputs(paper["inflow"], paper["given_flow"][:, 0])
+    inputs = paper["inflow"], paper["given_flow"][:, 0]
     vector = paper["parameters_temporal_flow"]
     found = engine.temporal_flow.solve(vector, inputs, paper_grid, PAPER_CONFIG)
     assert_near(found, paper["temporal_flow"], 1e-12)

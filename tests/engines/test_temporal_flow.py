@@ -13,7 +13,7 @@ from pcnde_bridge.config import PAPER
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_temporal_flow
-from pcnde_bridge.engines.types import TemporalFlowInputs
+from pcnde_bridge.engines.types import FitData
 from pcnde_bridge.errors import SolveError
 
 N_TIMES, N_POINTS, N_CASES = 12, 7, 2
@@ -48,7 +48,7 @@ def problem(config, seed=0):
     initial = inflow[:, :1] + 0.1 * rng.normal(size=(N_CASES, N_POINTS))
     initial[:, 0] = inflow[:, 0]
     target = rng.normal(size=(N_CASES, N_TIMES, N_POINTS))
-    return vector + 0.1 * rng.normal(size=vector.size), TemporalFlowInputs(inflow, initial), target
+    return vector + 0.1 * rng.normal(size=vector.size), (inflow, initial), target
 
 
 def rate_of(vector, config):
@@ -77,8 +77,8 @@ def test_the_inlet_is_exact(engine, time_input):
     vector, inputs, _ = problem(config)
     flow = engine.temporal_flow.solve(vector, inputs, GRID, config)
     assert flow.shape == (N_CASES, N_TIMES, N_POINTS)
-    np.testing.assert_array_equal(flow[:, :, 0], inputs.inflow)
-    np.testing.assert_array_equal(flow[:, 0], inputs.initial_flow)
+    np.testing.assert_array_equal(flow[:, :, 0], inputs[0])
+    np.testing.assert_array_equal(flow[:, 0], inputs[1])
 
 
 @pytest.mark.parametrize("time_input", [False, True])
@@ -88,7 +88,7 @@ def test_steps_are_those_of_runge_kutta_with_the_inlet_after_each(engine, time_i
     found = engine.temporal_flow.solve(vector, inputs, GRID, config)
     f, h = rate_of(vector, config), 1 / (2 * N_TIMES)
     for case in range(N_CASES):
-        q = inputs.initial_flow[case].copy()
+        q = inputs[1][case].copy()
         for number in range(2 * (N_TIMES - 1)):
             t = number * h
             k1 = f(t, q)
@@ -96,7 +96,7 @@ def test_steps_are_those_of_runge_kutta_with_the_inlet_after_each(engine, time_i
             k3 = f(t + h / 2, q + h / 2 * k2)
             k4 = f(t + h, q + h * k3)
             q = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            q[0] = np.interp(t + h, GRID.time, inputs.inflow[case])
+            q[0] = np.interp(t + h, GRID.time, inputs[0][case])
             if number % 2:
                 np.testing.assert_allclose(found[case, number // 2 + 1], q, rtol=1e-12)
 
@@ -108,14 +108,14 @@ def test_halved_steps_have_a_sixteenth_of_the_error(engine):
     vector = 3 * vector
     last = vector[-4 * N_POINTS :]  # last layer: weights (z, 3), then bias
     last[: 3 * N_POINTS : N_POINTS], last[3 * N_POINTS] = 0.0, 0.5
-    inflow = inputs.inflow[:, :1] + 0.5 * GRID.time
-    inputs = TemporalFlowInputs(inflow, inputs.initial_flow)
+    inflow = inputs[0][:, :1] + 0.5 * GRID.time
+    inputs = inflow, inputs[1]
     exact = np.stack(
         [
             solve_ivp(rate_of(vector, config), (0, GRID.time[-1]), q, rtol=1e-12, atol=1e-13).y[
                 :, -1
             ]
-            for q in inputs.initial_flow
+            for q in inputs[1]
         ]
     )
     errors = []
@@ -154,7 +154,7 @@ def test_many_losses_are_those_of_each(engine):
     scale = np.arange(5.0)[:, None]
     many = vector + scale * np.random.default_rng(0).normal(size=(5, vector.size))
     many[4] = 1e200
-    found = engine.temporal_flow.losses(many, inputs, target, GRID, config)
+    found = engine.temporal_flow.losses(many, FitData(inputs, target, GRID, config))
     one = [
         loss_and_gradient_of(engine.temporal_flow, x, inputs, target, GRID, config)[0] for x in many
     ]
@@ -183,7 +183,7 @@ def test_engines_agree(changes):
         (
             e.temporal_flow.solve(vector, inputs, GRID, config),
             *loss_and_gradient_of(e.temporal_flow, vector, inputs, target, GRID, config),
-            e.temporal_flow.fit(vector, inputs, target, GRID, config, 4).losses,
+            e.temporal_flow.fit(vector, FitData(inputs, target, GRID, config), 4).losses,
         )
         for e in (select_engine("julia"), select_engine("jax"))
     )

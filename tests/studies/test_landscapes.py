@@ -12,7 +12,7 @@ from pcnde_bridge.config import FAST, PAPER
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import FlowInputs, ModelInputs
+from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.studies import explore_landscapes
@@ -55,13 +55,14 @@ def study(small_cases, short_config):
 
 def flow_problem(cases):
     area = undeformed(cases.area_undeformed, cases.n_times)
-    return FlowInputs(cases.inflow, area), cases.grid
+    return (cases.inflow, area), cases.grid
 
 
 def gentle(inputs):
     """Reduce the oscillation: with the inertia term, the full waveform steepens and diverges."""
-    mean = inputs.inflow.mean(axis=1, keepdims=True)
-    return FlowInputs(mean + 0.05 * (inputs.inflow - mean), inputs.area)
+    inflow, area = inputs
+    mean = inflow.mean(axis=1, keepdims=True)
+    return mean + 0.05 * (inflow - mean), area
 
 
 def quiet(vector):
@@ -92,7 +93,7 @@ def test_terms_are_those_of_the_momentum_equation(engine, small_cases):
         f = f + vector[-20:]
         return f - 3 * np.pi * nu + q / here * slope / 2 - here / q * rise * 3 / 8
 
-    expected = inputs.inflow[0][:, None] + 0 * case.z
+    expected = inputs[0][0][:, None] + 0 * case.z
     for i in range(case.n_points - 1):
         span = case.z[i : i + 2]
         found = solve_ivp(right_hand_side, span, expected[:, i], rtol=1e-9, atol=1e-11)
@@ -254,7 +255,7 @@ class TestEnginesAgree:
         if "steps" not in solver:
             # Kinks of S amplify round-off through the step sizes, so S is linear in z here.
             taper = np.linspace(1.0, 0.8, cases.n_points)
-            inputs = FlowInputs(inputs.inflow, inputs.area[:, :, :1] * taper)
+            inputs = inputs[0], inputs[1][:, :, :1] * taper
         config = PAPER.replace(flow={"terms": terms, "hidden": (4,), **solver})
         vector = quiet(initial_parameters(config, cases.n_times, cases.n_points, 0).flow)
         (julia, by_julia), (jax, by_jax) = (
@@ -270,7 +271,8 @@ class TestEnginesAgree:
         first = initial_parameters(config, small_cases.n_times, small_cases.n_points, 0).flow
         vectors = np.stack([np.append(0.3 * first[:-20], np.full(20, b)) for b in (-1, 0, 1, 2)])
         julia, jax = (
-            e.flow.losses(vectors, gentle(inputs), small_cases.flow, grid, config) for e in both
+            e.flow.losses(vectors, FitData(gentle(inputs), small_cases.flow, grid, config))
+            for e in both
         )
         assert np.isinf(jax).any() and np.isfinite(jax).any()
         np.testing.assert_allclose(julia, jax, rtol=1e-7)
@@ -294,9 +296,7 @@ class TestEnginesAgree:
             fourier_area=1e-3 * first.fourier_area,
         )
         julia, jax = (
-            e.predict(
-                given, ModelInputs(gentle(inputs).inflow, cases.area_undeformed, grid), config
-            )
+            e.predict(given, ModelInputs(gentle(inputs)[0], cases.area_undeformed, grid), config)
             for e in both
         )
         assert relative_error(julia.flow, jax.flow) < 1e-10

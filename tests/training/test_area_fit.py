@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from helpers import LITTLE, julia_or_skip, loss_and_gradient_of
 
-from pcnde_bridge.engines.types import (
-    FourierAreaInputs,
-    IntermediateAreaInputs,
-)
+from pcnde_bridge.engines.types import FitData
 from pcnde_bridge.training.area_fit import fit_area_stage
 
 
 def area_gradients(engine, cases, grid, config):
     """Gradients of both area stages at their fit and at a = 1, b = 0, and the fits."""
-    inputs = IntermediateAreaInputs(cases.flow, cases.area_undeformed)
-    found = fit_area_stage(engine.intermediate_area, inputs, cases.area, grid, config)
+    inputs = cases.flow, cases.area_undeformed
+    found = fit_area_stage(engine.intermediate_area, FitData(inputs, cases.area, grid, config))
     first, loss = found.parameters, found.losses[-1]
     whole = engine.intermediate_area.solve(first, inputs, grid, config)
-    fourier = FourierAreaInputs(cases.flow, whole[:, -1])
-    found = fit_area_stage(engine.fourier_area, fourier, cases.area, grid, config)
+    fourier = cases.flow, whole[:, -1]
+    found = fit_area_stage(engine.fourier_area, FitData(fourier, cases.area, grid, config))
     second, fourier_loss = found.parameters, found.losses[-1]
     start = np.repeat([1.0, 0.0], cases.n_points)
     for stage, arrays, vector, least in (

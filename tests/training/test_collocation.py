@@ -10,9 +10,7 @@ from helpers import LITTLE, loss_and_gradient_of
 
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-)
+from pcnde_bridge.engines.types import FitData
 from pcnde_bridge.training.collocation import Collocation
 from pcnde_bridge.training.flow_fit import amplitude_weight
 from pcnde_bridge.training.whitening import Whitening
@@ -24,7 +22,8 @@ def known_flow(cases, config):
     inputs = seen.reshape(-1, 2 * cases.n_times)
     whitening = Whitening(inputs, config.flow.hidden[0], config.full_batch.whitening)
     weight = amplitude_weight(cases.inflow, config.full_batch.amplitude_exponent)
-    return Collocation(cases.flow, area, weight, cases.z, whitening, config), area
+    data = FitData((cases.inflow, area), cases.flow, cases.grid, config)
+    return Collocation(data, weight, whitening), area
 
 
 def test_twice_the_weight_is_the_case_twice(small_cases):
@@ -38,11 +37,12 @@ def test_twice_the_weight_is_the_case_twice(small_cases):
     vector = initial_parameters(config, 20, 21, 0).flow
     found = []
     for cases, weights in ((np.arange(n), weight), (twice, np.ones(n + 1))):
-        arrays = small_cases.flow[cases], area[cases]
+        flow, inputs = small_cases.flow[cases], (small_cases.inflow[cases], area[cases])
         # The decay is in units of the flow's squares.
-        decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(arrays[0] ** 2)
+        decay = 1e-4 * np.sum(small_cases.flow**2) / np.sum(flow**2)
         settings = config.replace(full_batch={"weight_decay": decay})
-        known = Collocation(*arrays, weights, small_cases.z, whitening, settings)
+        data = FitData(inputs, flow, small_cases.grid, settings)
+        known = Collocation(data, weights, whitening)
         found.append(known.objective(known.coordinates(vector)))
     (loss, gradient), (expected, its_gradient) = found
     assert loss == pytest.approx(expected, rel=1e-8)
@@ -76,7 +76,7 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
     found = known.fit(start, engine.lbfgs, lambda _, loss: losses.append(loss))
     fitted = found.parameters
     assert all(later <= earlier for earlier, later in pairwise(losses))
-    inputs = FlowInputs(small_cases.inflow, area)
+    inputs = small_cases.inflow, area
     through, _ = loss_and_gradient_of(engine.flow, fitted, inputs, small_cases.flow, grid, config)
     before, _ = loss_and_gradient_of(engine.flow, start, inputs, small_cases.flow, grid, config)
     assert through < 1.5 * losses[-1] < 1e-3 * before

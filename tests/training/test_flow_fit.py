@@ -11,10 +11,7 @@ from pcnde_bridge import (
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
-from pcnde_bridge.engines.types import (
-    Fit,
-    FlowInputs,
-)
+from pcnde_bridge.engines.types import Fit, FitData
 from pcnde_bridge.training import flow_fit
 from pcnde_bridge.training.collocation import Collocation
 from pcnde_bridge.training.flow_fit import amplitude_weight, balanced_flow, fit_flow
@@ -23,6 +20,11 @@ from pcnde_bridge.training.variable_projection import VariableProjection
 
 def unchanged(parameters):
     return Fit(parameters, np.empty(0), True, "not fitted")
+
+
+def data(cases, config):
+    inputs = cases.inflow, undeformed(cases.area_undeformed, cases.n_times)
+    return FitData(inputs, cases.flow, cases.grid, config)
 
 
 def record(number, optimize):
@@ -40,12 +42,12 @@ def test_collocation_comes_first_but_not_with_terms(engine, small_cases, grid, t
         losses[number] = []
         return optimize(lambda _, loss: losses[number].append(loss)).parameters
 
-    fitted = fit_flow(start, small_cases, area, engine, config, 3, run)
+    fitted = fit_flow(start, small_cases, data(small_cases, config), engine, 3, run)
     collocation = LITTLE.full_batch.collocation_iterations
     assert {number: len(of_fit) for number, of_fit in losses.items()} == (
         {1: 3 + collocation} if terms else {1: collocation, 2: 3}
     )
-    inputs = FlowInputs(small_cases.inflow, area)
+    inputs = small_cases.inflow, area
     loss, before = (
         loss_and_gradient_of(engine.flow, vector, inputs, small_cases.flow, grid, config)[0]
         for vector in (fitted, start)
@@ -72,21 +74,20 @@ def test_weaker_waves_weigh_more_up_to_a_bound():
 def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, monkeypatch):
     seen = {}
 
-    def seen_collocation(flow, area, weight, *others):
+    def seen_collocation(data, weight, *others):
         seen["collocation"] = weight
-        return Collocation(flow, area, weight, *others)
+        return Collocation(data, weight, *others)
 
     make = engine.flow.objective
 
-    def objective(inputs, target, weight, *others):
+    def objective(data, weight):
         seen["equation"] = weight
-        return make(inputs, target, weight, *others)
+        return make(data, weight)
 
     monkeypatch.setattr(flow_fit, "Collocation", seen_collocation)
     monkeypatch.setattr(engine.flow, "objective", objective)
-    area = undeformed(small_cases.area_undeformed, 20)
     start = initial_parameters(LITTLE, 20, 21, 0).flow
-    fit_flow(start, small_cases, area, engine, LITTLE, 2, record)
+    fit_flow(start, small_cases, data(small_cases, LITTLE), engine, 2, record)
     expected = amplitude_weight(small_cases.inflow, LITTLE.full_batch.amplitude_exponent)
     assert np.ptp(expected) > 0.1
     assert np.array_equal(seen["collocation"], expected)
@@ -96,10 +97,9 @@ def test_both_fits_of_the_flow_have_the_weights(engine, small_cases, monkeypatch
 def test_a_start_whose_equation_diverges_is_left(engine, small_cases, monkeypatch):
     """The parameters before collocation are fitted through the equation then."""
     start = initial_parameters(LITTLE, 20, 21, 0).flow
-    area = undeformed(small_cases.area_undeformed, 20)
     far = Fit(np.full_like(start, 1e6), np.empty(0), True, "not fitted")
     monkeypatch.setattr(VariableProjection, "fit", lambda *_: far)
-    fitted = fit_flow(start, small_cases, area, engine, LITTLE, 3, record)
+    fitted = fit_flow(start, small_cases, data(small_cases, LITTLE), engine, 3, record)
     assert np.isfinite(fitted).all() and np.abs(fitted).max() < 1e3
 
 

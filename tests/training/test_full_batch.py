@@ -20,10 +20,7 @@ from pcnde_bridge.config import (
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import predict_by_stages, undeformed
-from pcnde_bridge.engines.types import (
-    FlowInputs,
-    ModelInputs,
-)
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.model.predictor import predict
 from pcnde_bridge.training.procedure import Step
@@ -123,7 +120,7 @@ def test_no_interruption_changes_the_result(small_cases, toy_engine, tmp_path):
 
 def test_equal_steps_solve_the_same_equation(engine, small_cases, grid):
     parameters = initial_parameters(FAST, 20, 21, 0)
-    inputs = FlowInputs(small_cases.inflow, undeformed(small_cases.area_undeformed, 20))
+    inputs = small_cases.inflow, undeformed(small_cases.area_undeformed, 20)
     exact = PAPER.replace(flow={"rtol": 1e-10, "atol": 1e-12})
     expected = engine.flow.solve(parameters.flow, inputs, grid, exact)
     errors = []
@@ -138,7 +135,7 @@ def test_equal_steps_solve_the_same_equation(engine, small_cases, grid):
 def test_an_input_that_diverges_is_named(engine, small_cases, grid):
     inflow = small_cases.inflow.copy()
     inflow[7, 3] = np.inf
-    inputs = FlowInputs(inflow, undeformed(small_cases.area_undeformed, 20))
+    inputs = inflow, undeformed(small_cases.area_undeformed, 20)
     parameters = initial_parameters(FAST, 20, 21, 0)
     with pytest.raises(SolveError, match=r"case 7 \(1 of 12"):
         engine.flow.solve(parameters.flow, inputs, grid, FAST)

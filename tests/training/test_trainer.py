@@ -24,7 +24,6 @@ from pcnde_bridge import (
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.parameters import STAGES, initial_parameters
 from pcnde_bridge.engines.staged import solve_area, undeformed
-from pcnde_bridge.engines.types import FlowInputs
 from pcnde_bridge.errors import FileError
 from pcnde_bridge.training.checkpoint import previous
 from pcnde_bridge.training.history import Iteration, from_arrays, to_arrays, to_frame
@@ -225,7 +224,7 @@ def test_batches_and_the_smaller_last_one_reach_the_stages(small_cases, toy_conf
     assert len(fits) == 4 * 3
     for number, (_, inputs, target) in enumerate(fits):
         batch = state.batches[number % 3]
-        assert np.array_equal(inputs.inflow, small_cases.inflow[batch])
+        assert np.array_equal(inputs[0], small_cases.inflow[batch])
         assert np.array_equal(target, small_cases.flow[batch])
     for stage in (toy_engine.intermediate_area, toy_engine.fourier_area):
         assert [len(target) for _, _, target in stage.fits] == [5, 5, 2] * 2
@@ -264,15 +263,13 @@ def test_the_area_is_coupled_into_the_flow(small_cases, toy_config, toy_engine):
     grid = small_cases.grid
     before = undeformed(small_cases.area_undeformed, 20)
     first = state.couplings[0]
-    flow = toy_engine.flow.solve(
-        first.flow, FlowInputs(small_cases.inflow, before), grid, toy_config
-    )
+    flow = toy_engine.flow.solve(first.flow, (small_cases.inflow, before), grid, toy_config)
     after = solve_area(toy_engine, first, flow, small_cases.area_undeformed, grid, toy_config)
     assert np.abs(after - before).max() > 1e-3
     for number, (_, inputs, _) in enumerate(toy_engine.flow.fits):
         batch = state.batches[number % 3]
         expected = before if number < 6 else after
-        assert np.array_equal(inputs.area, expected[batch])
+        assert np.array_equal(inputs[1], expected[batch])
 
 
 def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
@@ -284,15 +281,13 @@ def test_anchor_of_the_fourier_area(small_cases, toy_config, toy_engine):
         first, grid = state.couplings[0], Grid(small_cases.time, small_cases.z, 1.0)
         s_u = small_cases.area_undeformed
         flow = toy_engine.flow.solve(
-            first.flow, FlowInputs(small_cases.inflow, undeformed(s_u, 20)), grid, config
+            first.flow, (small_cases.inflow, undeformed(s_u, 20)), grid, config
         )
-        from pcnde_bridge.engines.types import IntermediateAreaInputs
-
         whole = toy_engine.intermediate_area.solve(
-            first.intermediate_area, IntermediateAreaInputs(flow, s_u), grid, config
+            first.intermediate_area, (flow, s_u), grid, config
         )
         at = {"undeformed": 0, "last_cycle": 40, "last_time_point": 59}[anchor]
-        found[anchor] = toy_engine.fourier_area.fits[0][1].initial_area
+        found[anchor] = toy_engine.fourier_area.fits[0][1][1]
         assert np.array_equal(found[anchor], whole[state.batches[0], at])
     assert not np.allclose(found["last_cycle"], found["last_time_point"], rtol=1e-6)
 

@@ -26,7 +26,7 @@ def integrate(
     weight: jax.Array,
     z: jax.Array,
     stage: FlowStage,
-) -> tuple[jax.Array, jax.Array]:
+) -> jax.Array:
     """Integrate cases with common steps.
 
     Parameters
@@ -48,10 +48,8 @@ def integrate(
 
     Returns
     -------
-    states : array of shape (z, case, number)
-        States at the points.
-    solved : array of shape (case,)
-        Whether the integration reached the last point.
+    array of shape (z, case, number)
+        States at the points; infinite where the integration did not reach them.
     """
 
     def slope(position: Any, state: jax.Array, _: None) -> jax.Array:
@@ -88,5 +86,4 @@ def integrate(
         max_steps=most,
         throw=False,
     )
-    finite = jnp.all(jnp.isfinite(solution.ys), axis=(0, 2))
-    return solution.ys, (solution.result == diffrax.RESULTS.successful) & finite
+    return solution.ys

@@ -47,7 +47,7 @@ def intermediate(
     parameters : array of shape (2·z,)
         â, b̂.
     inputs : tuple of arrays
-        See :class:`~pcnde_bridge.engines.types.IntermediateAreaInputs`.
+        See :class:`~pcnde_bridge.engines.protocol.Engine`.
     grid : tuple
         Points, cm, and period, s.
     config : PCNDEConfig
@@ -82,7 +82,7 @@ def fourier(
     parameters : array of shape (2·z,)
         a, b.
     inputs : tuple of arrays
-        See :class:`~pcnde_bridge.engines.types.FourierAreaInputs`.
+        See :class:`~pcnde_bridge.engines.protocol.Engine`.
     grid : tuple
         Points, cm, and period, s.
     config : PCNDEConfig

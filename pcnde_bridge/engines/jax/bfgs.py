@@ -17,25 +17,26 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config.settings import BFGS
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration
-from pcnde_bridge.errors import SolveError
+from pcnde_bridge.engines.types import Fit, Objective, OnIteration, check_start, ignore, is_finite
+
+Value = Callable[[Array], float]
+"""Loss at a vector; where it is infinite or NaN, the step is shortened."""
 
 
 def minimize(
-    value: Callable[[Array], float],
+    value: Value,
     value_and_gradient: Objective,
     start: Array,
     settings: BFGS,
     iterations: int,
-    on_iteration: OnIteration | None = None,
+    on_iteration: OnIteration = ignore,
 ) -> Fit:
     """Minimize a function of a vector.
 
     Parameters
     ----------
     value : callable
-        Loss at a vector of shape (n,), for the line search.  Where it is infinite or NaN,
-        the step is shortened.
+        Loss at a vector of shape (n,), for the line search.
     value_and_gradient : callable
         Loss and its gradient of shape (n,).
     start : array of shape (n,)
@@ -44,7 +45,7 @@ def minimize(
         Initial step, line search and tolerance.
     iterations : int
         Maximum number of iterations.
-    on_iteration : callable, optional
+    on_iteration : callable
         Called with the number and loss of each iteration; it may raise to stop.
 
     Returns
@@ -59,24 +60,24 @@ def minimize(
     """
     x = np.array(start, dtype=np.float64)
     loss, gradient = value_and_gradient(x)
-    if not _finite(loss, gradient):
-        raise SolveError(
-            f"The loss is not finite at the first parameters of the fit (loss {loss}): the "
-            "equation diverges there. Check the data's units, or start from another seed."
-        )
+    check_start(loss, gradient)
     losses, inverse_hessian = [loss], _InverseHessian(gradient, settings)
     converged, message = _largest(gradient) <= settings.gradient_tolerance, "gradient tolerance"
     while not converged:
         if len(losses) > iterations:
             message = "all iterations done"
             break
-        step = _line_search(value, x, loss, gradient, inverse_hessian, settings)
+        step = _line_search(value, x, loss, gradient, -(inverse_hessian @ gradient), settings)
+        if step is None:
+            # Optim.jl discards the curvature and tries steepest descent once.
+            inverse_hessian.reset(gradient)
+            step = _line_search(value, x, loss, gradient, -gradient, settings)
         if step is None:
             message = "line search found no lower loss"
             break
         candidate = x + step
         new_loss, new_gradient = value_and_gradient(candidate)
-        if not _finite(new_loss, new_gradient):
+        if not is_finite(new_loss, new_gradient):
             message = "loss or gradient not finite"
             break
         change = candidate - x
@@ -84,15 +85,10 @@ def minimize(
         unchanged = new_loss == loss or not change.any()
         x, loss, gradient = candidate, new_loss, new_gradient
         losses.append(loss)
-        if on_iteration is not None:
-            on_iteration(len(losses) - 1, loss)
+        on_iteration(len(losses) - 1, loss)
         converged = unchanged or _largest(gradient) <= settings.gradient_tolerance
         message = "no change" if unchanged else "gradient tolerance"
     return Fit(x, np.array(losses), converged, message)
-
-
-def _finite(loss: float, gradient: Array) -> bool:
-    return math.isfinite(loss) and bool(np.isfinite(gradient).all())
 
 
 def _largest(vector: Array) -> float:
@@ -132,51 +128,27 @@ class _InverseHessian:
 
 
 def _line_search(
-    value: Callable[[Array], float],
-    x: Array,
-    loss: float,
-    gradient: Array,
-    inverse_hessian: _InverseHessian,
-    settings: BFGS,
+    value: Value, x: Array, loss: float, gradient: Array, direction: Array, settings: BFGS
 ) -> Array | None:
-    """Return the step from x, or None if no step decreases the loss enough."""
+    """Return the step from x along a direction that decreases the loss enough, or None.
 
-    def search(direction: Array) -> Array | None:
-        slope = float(gradient @ direction)
-        if not slope < 0:
-            return None
-        length = _backtrack(lambda step: value(x + step * direction), loss, slope, settings)
-        return None if length is None else length * direction
-
-    step = search(-(inverse_hessian @ gradient))
-    if step is None:
-        # Optim.jl discards the curvature and tries steepest descent once.
-        inverse_hessian.reset(gradient)
-        step = search(-gradient)
-    return step
-
-
-def _backtrack(
-    at: Callable[[float], float], loss: float, slope: float, settings: BFGS
-) -> float | None:
-    """Return the length of a step that decreases the loss enough (cubic interpolation).
-
-    ``at`` is the loss after a step of a given length, ``slope`` its derivative at the start.
+    Its length is found by cubic interpolation.
     """
+    slope = float(gradient @ direction)
+    if not slope < 0:
+        return None
     before, step = 1.0, 1.0
-    loss_before, loss_at = loss, at(step)
+    loss_before, loss_at = loss, value(x + direction)
     # Where a solve diverges the loss is not finite: halve the step until it is, up to machine
     # precision.
-    for _ in range(52):
-        if math.isfinite(loss_at):
-            break
+    while not math.isfinite(loss_at):
         before, step = step, step / 2
-        loss_at = at(step)
-    else:
-        return None
+        if step <= np.finfo(float).eps:
+            return None
+        loss_at = value(x + step * direction)
     for backtrack in range(settings.max_backtracks + 1):
         if loss_at <= loss + settings.sufficient_decrease * step * slope:
-            return step
+            return step * direction
         excess = loss_at - loss - slope * step
         if backtrack == 0:
             trial = -(slope * step**2) / (2 * excess)
@@ -188,7 +160,7 @@ def _backtrack(
         step = max(trial, step * settings.shrink_most)
         if step == 0:
             break
-        loss_at = at(step)
+        loss_at = value(x + step * direction)
     return None
 
 

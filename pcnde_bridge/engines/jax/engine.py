@@ -12,22 +12,15 @@ import jax.numpy as jnp
 
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.jax import (
-    area,
-    flow,
-    fused_predict,
-    physics_terms,
-    pressure,
-    temporal_flow,
-)
+from pcnde_bridge.engines.jax import area, flow, physics_terms, pressure, temporal_flow
 from pcnde_bridge.engines.jax.closures.engine import JaxClosures
+from pcnde_bridge.engines.jax.fused_predict import predict
 from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.jax.stage import (
     GridArrays,
     Inputs,
     JaxStage,
     Model,
-    Result,
     in_batches,
     on_device,
 )
@@ -39,20 +32,14 @@ from pcnde_bridge.engines.types import ModelInputs, Solution
 
 def _flow(
     parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
-) -> Result:
+) -> jax.Array:
     solve = physics_terms.solve if config.flow.terms else flow.solve
     return solve(parameters, inputs, weight, grid, config)
 
 
-def _explicit(
-    formula: Callable[[jax.Array, Inputs, GridArrays, PCNDEConfig], jax.Array],
-) -> Model:
-    """Return the model of a formula, which has a result for all parameters."""
-
-    def model(parameters: jax.Array, inputs: Inputs, _: jax.Array, *settings: Any) -> Result:
-        return formula(parameters, inputs, *settings), jnp.asarray(True)
-
-    return model
+def _unweighted(formula: Callable[..., jax.Array]) -> Model:
+    """Return the model of an equation whose cases do not influence each other."""
+    return lambda parameters, inputs, _, *settings: formula(parameters, inputs, *settings)
 
 
 class JaxEngine(Engine):
@@ -67,15 +54,18 @@ class JaxEngine(Engine):
         self.flow = JaxStage(
             _flow,
             ("flow", "physics"),
+            integrates=True,
             loss_scale=lambda config, count: count if config.flow.loss == "mean" else 1.0,
             case_by_case=lambda config: config.flow.steps is None,
         )
-        self.intermediate_area = JaxStage(_explicit(area.intermediate), ("intermediate_area",))
-        self.fourier_area = JaxStage(_explicit(area.fourier), ("fourier_area",))
+        self.intermediate_area = JaxStage(_unweighted(area.intermediate), ("intermediate_area",))
+        self.fourier_area = JaxStage(_unweighted(area.fourier), ("fourier_area",))
         pressure_settings = ("temporal_pressure", "spatial_pressure", "physics")
-        self.temporal_pressure = JaxStage(_explicit(pressure.temporal), pressure_settings)
-        self.spatial_pressure = JaxStage(_explicit(pressure.spatial), pressure_settings)
-        self.temporal_flow = JaxStage(temporal_flow.solve, ("temporal_flow",))
+        self.temporal_pressure = JaxStage(_unweighted(pressure.temporal), pressure_settings)
+        self.spatial_pressure = JaxStage(_unweighted(pressure.spatial), pressure_settings)
+        self.temporal_flow = JaxStage(
+            _unweighted(temporal_flow.solve), ("temporal_flow",), integrates=True
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a name: compiled functions cannot be pickled."""
@@ -88,9 +78,8 @@ class JaxEngine(Engine):
         *arrays, grid = inputs
         with double_precision():
             vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
-            predict = partial(fused_predict.predict, vectors, grid=on_device(grid), config=config)
-            predicted = in_batches(predict, tuple(arrays))
-        return Solution(*predicted)
+            compute = partial(predict, vectors, grid=on_device(grid), config=config)
+            return Solution(*in_batches(compute, tuple(arrays)))
 
 
 @cache

@@ -23,7 +23,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
 from pcnde_bridge.engines.jax.fixed_step_tsit5 import integrate as integrate_in_fixed_steps
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
-from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
@@ -59,7 +59,7 @@ def split_network(parameters: jax.Array, n_times: int, config: PCNDEConfig) -> F
 
 def solve(
     parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
-) -> Result:
+) -> jax.Array:
     """Integrate cases with common steps.
 
     Parameters
@@ -67,7 +67,7 @@ def solve(
     parameters : array of shape (size,)
         The network.
     inputs : tuple of arrays
-        See :class:`~pcnde_bridge.engines.types.FlowInputs`.
+        See :class:`~pcnde_bridge.engines.protocol.Engine`.
     weight : array of shape (case,)
         1, or 0 for a case that pads a batch and must not influence the steps.
     grid : tuple
@@ -77,28 +77,30 @@ def solve(
 
     Returns
     -------
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    solved : array of shape (case,)
-        Whether the integration reached the last point.
+    array of shape (case, time, z)
+        Q, mL/s; not finite where the integration did not reach the last point.
     """
     (inflow, area), (z, _) = inputs, grid
     network = split_network(parameters, inflow.shape[1], config)
-    if config.flow.steps is not None:
-        return _solve_in_fixed_steps(network, inflow, area, z, config)
-    from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
-    hidden, solved = solve_hidden(network, (inflow, from_area), weight, z, config)
-    flow = (
-        inflow[:, :, None]
-        + network.last_bias[:, None] * (z - z[0])
-        + jnp.einsum("nzh,ht->ntz", hidden, network.last)
-    )
-    return flow, solved
+    if config.flow.steps is None:
+        from_area = jnp.einsum("ntz,th->nzh", area, network.from_area)
+        hidden = solve_hidden(network, (inflow, from_area), weight, z, config)
+        gained = jnp.einsum("nzh,ht->ntz", hidden, network.last)
+    else:
+        # Products are batched over cases, in the memory order of the arrays.
+        first, last = (
+            jnp.broadcast_to(matrix.T, (len(inflow), *matrix.T.shape))
+            for matrix in (network.from_area, network.last)
+        )
+        from_area = jnp.moveaxis(first @ area, 1, 0)
+        hidden = _hidden_in_fixed_steps(network, inflow, from_area, z, config)
+        gained = last @ jnp.moveaxis(hidden, 0, 1)
+    return inflow[:, :, None] + network.last_bias[:, None] * (z - z[0]) + gained
 
 
 def solve_hidden(
     network: FlowNetwork, inputs: Inputs, weight: jax.Array, z: jax.Array, config: PCNDEConfig
-) -> tuple[jax.Array, jax.Array]:
+) -> jax.Array:
     """Integrate dH/dz = h, with the error measured on Q.
 
     Parameters
@@ -113,15 +115,13 @@ def solve_hidden(
 
     Returns
     -------
-    hidden : array of shape (case, z, hidden)
-        H at the points.
-    solved : array of shape (case,)
-        Whether the integration reached the last point.
+    array of shape (case, z, hidden)
+        H at the points; not finite where the integration did not reach the last one.
     """
     inflow, from_area = inputs
     if config.flow.steps is not None:
         state = _hidden_in_fixed_steps(network, inflow, jnp.moveaxis(from_area, 2, 0), z, config)
-        return jnp.moveaxis(state, 0, 2), _all_finite(state)
+        return jnp.moveaxis(state, 0, 2)
     stage = config.flow
     activation = ACTIVATIONS[stage.activation]
     last, last_bias = network.last, network.last_bias
@@ -139,32 +139,8 @@ def solve_hidden(
         return inflow + (position - z[0]) * last_bias + state @ last
 
     start = jnp.zeros((inflow.shape[0], last.shape[0]))
-    hidden, solved = integrate(rate, flow, lambda error: error @ last, start, weight, z, stage)
-    return jnp.moveaxis(hidden, 0, 1), solved
-
-
-def _solve_in_fixed_steps(
-    network: FlowNetwork, inflow: jax.Array, area: jax.Array, z: jax.Array, config: PCNDEConfig
-) -> tuple[jax.Array, jax.Array]:
-    """Solve in fixed steps; products are batched over cases, in the memory order of the arrays."""
-    n_cases = inflow.shape[0]
-
-    def for_each_case(matrix: jax.Array) -> jax.Array:
-        return jnp.broadcast_to(matrix, (n_cases, *matrix.shape))
-
-    from_area = for_each_case(network.from_area.T) @ area
-    hidden = _hidden_in_fixed_steps(network, inflow, jnp.moveaxis(from_area, 1, 0), z, config)
-    flow = (
-        inflow[:, :, None]
-        + network.last_bias[:, None] * (z - z[0])
-        + for_each_case(network.last.T) @ jnp.moveaxis(hidden, 0, 1)
-    )
-    return flow, _all_finite(hidden)
-
-
-def _all_finite(hidden: jax.Array) -> jax.Array:
-    """Return whether H (hidden, case, z) is finite, (case,)."""
-    return jnp.all(jnp.isfinite(hidden), axis=(0, 2))
+    hidden = integrate(rate, flow, lambda error: error @ last, start, weight, z, stage)
+    return jnp.moveaxis(hidden, 0, 1)
 
 
 def _hidden_in_fixed_steps(

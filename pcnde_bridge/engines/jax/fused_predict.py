@@ -50,18 +50,17 @@ class _InTime(NamedTuple):
 
 
 class _InSpace(NamedTuple):
-    """Functions of z after a coupling pass: G, s₀ and c, and whether each case was solved."""
+    """Functions of z after a coupling pass: G, s₀ and c; not finite in cases that diverge."""
 
     flow: jax.Array
     steady: jax.Array
     area: jax.Array
-    solved: jax.Array
 
 
 @partial(jax.jit, static_argnames="config")
 def predict(
     parameters: dict[str, jax.Array], inputs: Inputs, grid: GridArrays, config: PCNDEConfig
-) -> tuple[Inputs, jax.Array]:
+) -> Inputs:
     """Predict flow, area and pressure.
 
     Parameters
@@ -77,23 +76,22 @@ def predict(
 
     Returns
     -------
-    predicted : tuple of arrays of shape (case, time, z)
-        Flow, mL/s, area, cm², and pressure, dyn/cm², unless there are no pressure stages.
-    solved : array of shape (case,)
-        Whether the momentum equation was integrated to the end in every pass.
+    tuple of arrays of shape (case, time, z)
+        Flow, mL/s, area, cm², and pressure, dyn/cm², unless there are no pressure stages; not
+        finite where the momentum equation was not integrated to the end in every pass.
     """
     (inflow, area_undeformed), (z, _) = inputs, grid
     in_time, in_space = _couple(parameters, inputs, grid, config)
     flow = Separable(inflow[:, :, None], in_time.flow, in_space.flow)
     area = Separable(in_space.steady[:, None], in_time.area, in_space.area)
     if parameters["temporal_pressure"].size == 0:
-        return (flow.values(), area.values()), in_space.solved
+        return flow.values(), area.values()
     network_inputs = flow, area, area_undeformed
     mean = temporal_mean(parameters["temporal_pressure"], network_inputs, config)
     q = flow.values()
     means = mean, q, area_undeformed
     pressure = spatial_from_mean(parameters["spatial_pressure"], means, z, config)
-    return (q, area.values(), pressure * config.physics.reference_pressure), in_space.solved
+    return q, area.values(), pressure * config.physics.reference_pressure
 
 
 def _functions_of_time(
@@ -121,19 +119,16 @@ def _couple(
     distance = jnp.broadcast_to(z - z[0], (n_cases, 1, z.shape[0]))
 
     @jax.vmap
-    def solve_one(q: jax.Array, from_area: jax.Array) -> tuple[jax.Array, jax.Array]:
-        one_case = q[None], from_area[None]
-        hidden, solved = solve_hidden(network, one_case, jnp.ones(1), z, config)
-        return hidden[0], solved[0]
+    def solve_one(q: jax.Array, from_area: jax.Array) -> jax.Array:
+        return solve_hidden(network, (q[None], from_area[None]), jnp.ones(1), z, config)[0]
 
     def one_pass(_: int, before: _InSpace) -> _InSpace:
         from_area = before.steady[:, :, None] * area_to_layer
         from_area = from_area + jnp.einsum("nkz,kh->nzh", before.area, wave_to_layer)
         if config.flow.steps is None:
-            hidden, solved = solve_one(inflow, from_area)
+            hidden = solve_one(inflow, from_area)
         else:  # without step control the cases do not influence each other
-            every_case = inflow, from_area
-            hidden, solved = solve_hidden(network, every_case, jnp.ones(n_cases), z, config)
+            hidden = solve_hidden(network, (inflow, from_area), jnp.ones(n_cases), z, config)
         flow = jnp.concatenate([distance, jnp.moveaxis(hidden, 2, 1)], axis=1)
         slope = flow_slope(flow, z)
         initial = (
@@ -141,10 +136,10 @@ def _couple(
             - a_hat * jnp.einsum("k,nkz->nz", in_time.until_anchor, slope)
             + b_hat * in_time.elapsed
         )
-        return _InSpace(flow, initial + b, -a * slope, before.solved & solved)
+        return _InSpace(flow, initial + b, -a * slope)
 
     zero = jnp.zeros((n_cases, in_time.flow.shape[0], z.shape[0]))
-    first = _InSpace(zero, area_undeformed, zero, jnp.ones(n_cases, dtype=bool))
+    first = _InSpace(zero, area_undeformed, zero)
     return in_time, jax.lax.fori_loop(0, config.coupling_passes, one_pass, first)
 
 

@@ -9,7 +9,7 @@ from pcnde_bridge.engines.types import Objective, OnIterate
 def lbfgs_of_scipy(
     objective: Objective, start: Array, memory: int, iterations: int, on_iterate: OnIterate
 ) -> None:
-    """See :meth:`pcnde_bridge.engines.protocol.Engine.lbfgs`."""
+    """Run SciPy's L-BFGS-B; see :data:`pcnde_bridge.engines.types.LBFGS`."""
     from scipy.optimize import OptimizeResult, minimize
 
     def callback(intermediate_result: OptimizeResult) -> None:

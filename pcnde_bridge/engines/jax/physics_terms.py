@@ -17,7 +17,7 @@ from pcnde_bridge.engines.jax.adaptive_tsit5 import Interpolate, integrate
 from pcnde_bridge.engines.jax.area import flow_slope
 from pcnde_bridge.engines.jax.flow import split_network
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
-from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 
 DELTA = 1 / 3
 """δ of a parabolic velocity profile."""
@@ -25,7 +25,7 @@ DELTA = 1 / 3
 
 def solve(
     parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
-) -> Result:
+) -> jax.Array:
     """Integrate cases with common steps; see :func:`pcnde_bridge.engines.jax.flow.solve`."""
     (inflow, area), (z, period) = inputs, grid
     stage = config.flow
@@ -40,7 +40,7 @@ def solve(
         values = activation(interpolate(on_grid) + flow @ network.from_flow)
         for matrix, bias in network.middle:
             values = activation(values @ matrix + bias)
-        result: jax.Array = values @ network.last + network.last_bias
+        result = values @ network.last + network.last_bias
         if "friction" in stage.terms:
             result = result + friction / (2 * (1 + DELTA))
         if "convection" in stage.terms:
@@ -51,8 +51,7 @@ def solve(
         return result
 
     integrated = (lambda _, state: state), (lambda error: error)  # Q itself
-    flow, solved = integrate(rate, *integrated, inflow, weight, z, stage)
-    return jnp.transpose(flow, (1, 2, 0)), solved
+    return jnp.transpose(integrate(rate, *integrated, inflow, weight, z, stage), (1, 2, 0))
 
 
 def change_in_time(flow: jax.Array, period: jax.Array) -> jax.Array:

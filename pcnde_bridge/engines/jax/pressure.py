@@ -8,18 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.engines import shared_terms as terms
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
 from pcnde_bridge.engines.jax.separable import Separable
 from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
-from pcnde_bridge.engines.shared_terms import (
-    STEEPNESS,
-    flow_at_stenosis,
-    network_drop,
-    pressure_scale,
-    stenosis_drop,
-    step_profile,
-)
 
 
 def temporal(
@@ -32,7 +25,7 @@ def temporal(
     parameters : array of shape (size,)
         The network.
     inputs : tuple of arrays
-        See :class:`~pcnde_bridge.engines.types.TemporalPressureInputs`; r₀ is the radius of the
+        See :class:`~pcnde_bridge.engines.protocol.Engine`; r₀ is the radius of the
         first point.
     grid : tuple
         Points and period; not used.
@@ -45,7 +38,7 @@ def temporal(
         p̂/p_ref.
     """
     hidden, (matrix, bias) = _hidden(parameters, inputs, config)
-    scale: jax.Array = pressure_scale(inputs[-1], config.physics, jnp)
+    scale = terms.pressure_scale(inputs[-1], config.physics, jnp)
     return 1 + scale[:, None, None] * (hidden @ matrix + bias)
 
 
@@ -57,7 +50,7 @@ def temporal_mean(
     Flow and area may be :class:`~pcnde_bridge.engines.jax.separable.Separable`.
     """
     hidden, (matrix, bias) = _hidden(parameters, inputs, config)
-    scale: jax.Array = pressure_scale(inputs[-1], config.physics, jnp)
+    scale = terms.pressure_scale(inputs[-1], config.physics, jnp)
     return 1 + scale[:, None] * (hidden @ jnp.mean(matrix, axis=1) + jnp.mean(bias))
 
 
@@ -74,7 +67,7 @@ def _hidden(
     widths = layer_sizes("temporal_pressure", config, 0, n_points)
     (first, bias), *middle, last = unpack_network(parameters, widths)
     q = flow.values() if isinstance(flow, Separable) else flow
-    drop = network_drop(q, area_undeformed, config)
+    drop = terms.network_drop(q, area_undeformed, config)
     for_area, for_change, for_drop, for_flow = jnp.split(first, 4)
     # S and S − S_u enter linearly: one product serves both.
     values = (
@@ -126,10 +119,10 @@ def spatial_from_mean(
     physics = config.physics
     a1, a2 = parameters[0], parameters[1]
     b1, b2 = jnp.split(parameters[2:], 2)
-    at_stenosis = flow_at_stenosis(flow, z, physics, jnp)
+    at_stenosis = terms.flow_at_stenosis(flow, z, physics, jnp)
     coefficient = physics.turbulent_coefficient + a2
-    drop: jax.Array = stenosis_drop(at_stenosis, area_undeformed, coefficient, physics)
+    drop = terms.stenosis_drop(at_stenosis, area_undeformed, coefficient, physics)
     drop = drop / physics.reference_pressure + b1
-    height, distance = step_profile(z, config, jnp)
-    step: jax.Array = height * jnp.tanh(STEEPNESS * b2[:, None] * distance)
+    height, distance = terms.step_profile(z, config, jnp)
+    step = height * jnp.tanh(terms.STEEPNESS * b2[:, None] * distance)
     return (mean + a1)[:, :, None] - drop[:, :, None] * step

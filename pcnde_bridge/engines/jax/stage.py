@@ -17,7 +17,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.bfgs import minimize
 from pcnde_bridge.engines.protocol import Stage
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration, StageInputs
+from pcnde_bridge.engines.types import Fit, FitData, Objective, OnIteration, StageInputs, ignore
 from pcnde_bridge.errors import SolveError
 
 _LARGEST_BATCH = 128
@@ -28,13 +28,11 @@ Inputs = tuple[jax.Array, ...]
 GridArrays = tuple[jax.Array, jax.Array]
 """Points, cm, and period, s."""
 
-Result = tuple[jax.Array, jax.Array]
-"""Prediction (case, time, z), and whether it, or each case, was solved."""
-
-Model = Callable[[jax.Array, Inputs, jax.Array, GridArrays, PCNDEConfig], Result]
+Model = Callable[[jax.Array, Inputs, jax.Array, GridArrays, PCNDEConfig], jax.Array]
 """Equation of a stage, for parameters, inputs, weights, grid and configuration.
 
-The weights (case,) are 0 for cases that only pad a batch.
+The weights (case,) are 0 for cases that only pad a batch.  The result (case, time, z) is not
+finite where the equation cannot be solved.
 """
 
 
@@ -51,6 +49,8 @@ class JaxStage(Stage):
     depends_on : tuple of str
         Groups of settings that the equation needs; a change of other settings
         does not trigger a compilation.
+    integrates : bool
+        Whether the equation may diverge; the loss is infinite then.
     loss_scale : callable
         ``(config, count) -> divisor`` of the sum of squares.
     case_by_case : callable
@@ -63,11 +63,13 @@ class JaxStage(Stage):
         model: Model,
         depends_on: tuple[str, ...],
         *,
+        integrates: bool = False,
         loss_scale: Callable[[PCNDEConfig, Any], Any] = lambda _, count: count,
         case_by_case: Callable[[PCNDEConfig], bool] = lambda _: False,
     ) -> None:
         self._model = model
         self._depends_on = depends_on
+        self._integrates = integrates
         self._loss_scale = loss_scale
         self._case_by_case = case_by_case
         compile_ = partial(jax.jit, static_argnames=("config",))
@@ -76,58 +78,42 @@ class JaxStage(Stage):
         self._value_and_gradient = compile_(jax.value_and_grad(self._loss))
         self._values = compile_(self._losses)
 
-    def solve(
-        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def solve(self, vector: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
             settings = {"grid": on_device(grid), "config": self._relevant(config)}
-            (result,) = in_batches(partial(self._solve, parameters, **settings), inputs)
-            return result
+            return in_batches(partial(self._solve, vector, **settings), inputs)[0]
 
-    def losses(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def losses(self, vectors: Array, data: FitData) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with double_precision():
-            data = _fit_data(inputs, target, grid)
-            return np.asarray(self._values(parameters, *data, config=self._relevant(config)))
+            arrays, settings = _padded_data(data), self._relevant(data.config)
+            return np.asarray(self._values(vectors, *arrays, config=settings))
 
-    def objective(
-        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
-    ) -> Objective:
+    def objective(self, data: FitData, weight: Array) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         # Cases of weight 0 are retained, so that all selections share one compilation.
-        return self._objective(_data(inputs, weight, target, grid), config)
+        return self._objective(_on_device(data, weight), data.config)
 
     def fit(
-        self,
-        parameters: Array,
-        inputs: StageInputs,
-        target: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-        iterations: int,
-        on_iteration: OnIteration | None = None,
+        self, start: Array, data: FitData, iterations: int, on_iteration: OnIteration = ignore
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        data, settings = _fit_data(inputs, target, grid), self._relevant(config)
-        with double_precision():
-            return minimize(
-                lambda x: float(self._value(x, *data, config=settings)),
-                self._objective(data, config),
-                parameters,
-                config.optimizer,
-                iterations,
-                on_iteration,
-            )
+        arrays, settings = _padded_data(data), self._relevant(data.config)
 
-    def _objective(self, data: tuple[Any, ...], config: PCNDEConfig) -> Objective:
+        def value(parameters: Array) -> float:
+            return float(self._value(parameters, *arrays, config=settings))
+
+        objective, optimizer = self._objective(arrays, data.config), data.config.optimizer
+        with double_precision():
+            return minimize(value, objective, start, optimizer, iterations, on_iteration)
+
+    def _objective(self, arrays: tuple[Any, ...], config: PCNDEConfig) -> Objective:
         settings = self._relevant(config)
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
             with double_precision():
-                loss, gradient = self._value_and_gradient(parameters, *data, config=settings)
+                loss, gradient = self._value_and_gradient(parameters, *arrays, config=settings)
                 return float(loss), np.array(gradient)
 
         return evaluate
@@ -137,49 +123,44 @@ class JaxStage(Stage):
 
     def _predict(
         self, parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
-    ) -> tuple[Inputs, jax.Array]:
-        count = inputs[0].shape[0]
-        if not self._case_by_case(config):
-            predicted, solved = self._model(parameters, inputs, jnp.ones(count), grid, config)
-            return (predicted,), jnp.broadcast_to(solved, (count,))
+    ) -> Inputs:
+        def predict(cases: Inputs) -> jax.Array:
+            return self._model(parameters, cases, jnp.ones(len(cases[0])), grid, config)
 
-        def one(*case: jax.Array) -> tuple[Inputs, jax.Array]:
-            batch_of_one = tuple(a[None] for a in case)
-            predicted, solved = self._model(parameters, batch_of_one, jnp.ones(1), grid, config)
-            return (predicted[0],), jnp.all(solved)
+        if self._case_by_case(config):
+            return (jax.vmap(lambda *case: predict(tuple(a[None] for a in case))[0])(*inputs),)
+        return (predict(inputs),)
 
-        return jax.vmap(one)(*inputs)
-
-    def _loss(self, parameters: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
-        """Return the loss; the data are those of :func:`_data`."""
-        inputs, weight, target, grid = data
+    def _loss(self, parameters: jax.Array, *arrays: Any, config: PCNDEConfig) -> jax.Array:
+        """Return the loss; the arrays are those of :func:`_on_device`."""
+        inputs, weight, target, grid = arrays
         # In the step control every case with a positive weight counts alike.
         counted = (weight > 0).astype(weight.dtype)
-        predicted, solved = self._model(parameters, inputs, counted, grid, config)
+        predicted = self._model(parameters, inputs, counted, grid, config)
         # The intermediate area has several cycles, of which the last is compared.
         error = predicted[:, -target.shape[1] :] - target
         count = jnp.sum(weight) * math.prod(target.shape[1:])
         total = jnp.sum(weight[:, None, None] * error**2)
-        return jnp.where(jnp.all(solved), total / self._loss_scale(config, count), jnp.inf)
+        loss = total / self._loss_scale(config, count)
+        if not self._integrates:
+            return loss
+        return jnp.where(jnp.all(jnp.isfinite(predicted)), loss, jnp.inf)
 
-    def _losses(self, rows: jax.Array, *data: Any, config: PCNDEConfig) -> jax.Array:
+    def _losses(self, rows: jax.Array, *arrays: Any, config: PCNDEConfig) -> jax.Array:
         """Return the loss of each row of parameters, for a limited number of rows at a time."""
-        at_once = max(1, _LARGEST_BATCH // len(data[1]))
+        at_once = max(1, _LARGEST_BATCH // len(arrays[1]))
         loss = partial(self._loss, config=config)
-        found: jax.Array = jax.lax.map(lambda row: loss(row, *data), rows, batch_size=at_once)
-        return found
+        return jax.lax.map(lambda row: loss(row, *arrays), rows, batch_size=at_once)
 
 
-def in_batches(
-    compute: Callable[[Inputs], tuple[Inputs, jax.Array]],
-    arrays: tuple[Array, ...],
-) -> tuple[Array, ...]:
+def in_batches(compute: Callable[[Inputs], Inputs], arrays: StageInputs) -> StageInputs:
     """Compute cases in batches of a few sizes, and join the results.
 
     Parameters
     ----------
     compute : callable
-        Maps arrays of some cases to results and, for each case, whether it was solved.
+        Maps arrays of some cases to results, of which the first, (case, time, z), is not finite
+        in cases that could not be solved.
     arrays : tuple of arrays of shape (case, ...)
         All cases.
 
@@ -192,8 +173,9 @@ def in_batches(
     for start in range(0, len(arrays[0]), _LARGEST_BATCH):
         part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
         count = len(part[0])
-        results, solved = compute(jax.tree.map(jnp.asarray, _padded(part)))
-        failed = np.flatnonzero(~np.asarray(solved)[:count])
+        computed = compute(jax.tree.map(jnp.asarray, _padded(part)))
+        results = [np.asarray(result)[:count] for result in computed]
+        failed = np.flatnonzero(~np.isfinite(results[0]).all(axis=(1, 2)))
         if failed.size:
             raise SolveError(
                 f"The momentum equation could not be integrated for case {start + failed[0]} "
@@ -201,7 +183,7 @@ def in_batches(
                 "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
                 "resemble the training data."
             )
-        batches.append([np.asarray(r)[:count] for r in results])
+        batches.append(results)
     # Copies, because JAX's own arrays are read-only.
     return tuple(np.concatenate(parts) for parts in zip(*batches, strict=True))
 
@@ -211,27 +193,23 @@ def on_device(grid: Grid) -> GridArrays:
     return jnp.asarray(grid.z), jnp.asarray(grid.period)
 
 
-def _data(inputs: StageInputs, weight: Array, target: Array, grid: Grid) -> tuple[Any, ...]:
+def _on_device(data: FitData, weight: Array) -> tuple[Any, ...]:
     """Return inputs, weights and target, and the grid, as JAX arrays."""
     with double_precision():
-        arrays = tuple(inputs), weight.astype(float), target
-        return *jax.tree.map(jnp.asarray, arrays), on_device(grid)
+        arrays = tuple(data.inputs), weight.astype(float), data.target
+        return *jax.tree.map(jnp.asarray, arrays), on_device(data.grid)
 
 
-def _fit_data(inputs: StageInputs, target: Array, grid: Grid) -> tuple[Any, ...]:
-    """Return the data of :func:`_data`, padded with cases of weight 0."""
-    weight = np.where(np.arange(_rounded_up(len(target))) < len(target), 1.0, 0.0)
-    *arrays, padded_target = _padded((*inputs, target))
-    return _data(tuple(arrays), weight, padded_target, grid)
-
-
-def _rounded_up(count: int) -> int:
-    power = 1 << max(count - 1, 0).bit_length()
-    return power * 3 // 4 if power >= 4 and count <= power * 3 // 4 else power
+def _padded_data(data: FitData) -> tuple[Any, ...]:
+    """Return the arrays of :func:`_on_device`, padded with cases of weight 0."""
+    *inputs, target = _padded((*data.inputs, data.target))
+    weight = (np.arange(len(target)) < len(data.target)).astype(float)
+    return _on_device(data._replace(inputs=tuple(inputs), target=target), weight)
 
 
 def _padded(arrays: tuple[Array, ...]) -> tuple[Array, ...]:
     """Repeat the last case up to the next compiled size."""
-    count = arrays[0].shape[0]
-    missing = _rounded_up(count) - count
-    return tuple(np.concatenate([a, np.repeat(a[-1:], missing, 0)]) for a in arrays)
+    count = len(arrays[0])
+    power = 1 << max(count - 1, 0).bit_length()
+    size = power * 3 // 4 if power >= 4 and count <= power * 3 // 4 else power
+    return tuple(np.concatenate([a, np.repeat(a[-1:], size - count, 0)]) for a in arrays)

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.mlp import ACTIVATIONS
-from pcnde_bridge.engines.jax.stage import GridArrays, Inputs, Result
+from pcnde_bridge.engines.jax.stage import GridArrays, Inputs
 from pcnde_bridge.engines.parameters import layer_sizes, unpack_network
 
 
 def solve(
-    parameters: jax.Array, inputs: Inputs, weight: jax.Array, grid: GridArrays, config: PCNDEConfig
-) -> Result:
+    parameters: jax.Array, inputs: Inputs, grid: GridArrays, config: PCNDEConfig
+) -> jax.Array:
     """Integrate one cycle, from its first time point to its last.
 
     Parameters
@@ -25,9 +25,7 @@ def solve(
     parameters : array of shape (size,)
         The network.
     inputs : tuple of arrays
-        See :class:`~pcnde_bridge.engines.types.TemporalFlowInputs`.
-    weight : array of shape (case,)
-        Not used: the cases do not influence each other.
+        See :class:`~pcnde_bridge.engines.protocol.Engine`.
     grid : tuple
         Points, cm, and period, s.
     config : PCNDEConfig
@@ -35,10 +33,8 @@ def solve(
 
     Returns
     -------
-    flow : array of shape (case, time, z)
-        Q, mL/s.
-    solved : array of shape (case,)
-        Whether every value is finite.
+    array of shape (case, time, z)
+        Q, mL/s; not finite where the solution diverges.
     """
     (inflow, initial_flow), (_, period) = inputs, grid
     stage = config.temporal_flow
@@ -74,4 +70,4 @@ def solve(
     initial_flow = initial_flow.at[:, 0].set(inflow[:, 0])
     _, after = jax.lax.scan(advance, initial_flow, (jnp.arange(len(inlet)), inlet))
     flow = jnp.concatenate([initial_flow[None], after[stage.steps - 1 :: stage.steps]])
-    return jnp.moveaxis(flow, 0, 1), jnp.all(jnp.isfinite(flow), axis=(0, 2))
+    return jnp.moveaxis(flow, 0, 1)

@@ -51,12 +51,7 @@ class JuliaEngine(Engine):
         return Solution(*self._julia.call("predict", vectors, *inputs, passes, config))
 
     def lbfgs(
-        self,
-        objective: Objective,
-        start: Array,
-        memory: int,
-        iterations: int,
-        on_iterate: OnIterate,
+        self, objective: Objective, start: Array, memory: int, iterations: int, accept: OnIterate
     ) -> None:
         """Run Optim's ``LBFGS``."""
 
@@ -65,7 +60,7 @@ class JuliaEngine(Engine):
             array[0], array[1:] = objective(x.to_numpy())
 
         def after_iteration(x: Any, loss: float) -> None:
-            on_iterate(x.to_numpy(), float(loss))
+            accept(x.to_numpy(), float(loss))
 
         self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
 

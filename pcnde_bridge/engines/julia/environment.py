@@ -35,9 +35,15 @@ from pcnde_bridge.errors import EngineUnavailableError
 EXECUTABLE, PROJECT = "PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"
 SIGNALS, THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
 
-_NEEDED = ("PCNDECore", "PythonCall")
-_COMPUTING = (*_NEEDED, "OrdinaryDiffEqTsit5", "Lux", "Optim")
+_COMPUTING = ("PCNDECore", "PythonCall", "OrdinaryDiffEqTsit5", "Lux", "Optim")
 _OLDEST = "1.10.3"  # of juliacall
+_OWN = {"PYTHON_JULIACALL_STARTUP_FILE": "no", "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no"}
+_OF_JULIACALL = (  # variable, its key in the configuration of a running juliacall, and default
+    (EXECUTABLE, "exepath", "julia"),
+    (PROJECT, "project", ""),
+    (THREADS, "opt_threads", "1"),
+    (SIGNALS, "opt_handle_signals", "no"),
+)
 
 
 @dataclass
@@ -122,10 +128,10 @@ def julia_settings_file() -> Path:
 
 def julia_sources() -> Path:
     """Return the folder of the Julia package PCNDECore that belongs to this Python package."""
-    package = Path(__file__).resolve().parents[2]
-    for folder in (package, package.parent):  # a wheel, a checkout
-        if (folder / "julia" / "PCNDECore" / "Project.toml").is_file():
-            return folder / "julia" / "PCNDECore"
+    _, _, package, checkout, *_ = Path(__file__).resolve().parents
+    for folder in (package / "julia" / "PCNDECore", checkout / "julia" / "PCNDECore"):
+        if (folder / "Project.toml").is_file():
+            return folder
     raise EngineUnavailableError(
         f"The Julia sources are missing from {package}. Install pcnde_bridge again."
     )
@@ -170,22 +176,16 @@ def core_version(folder: Path) -> str:
 def _read_settings(status: JuliaStatus) -> dict[str, str]:
     """Enter the settings with which Julia starts, or was started; return all variables."""
     config = getattr(sys.modules.get("juliacall"), "CONFIG", {})
-    variables = {
-        "PYTHON_JULIACALL_STARTUP_FILE": "no",
-        "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no",
-    }
     if config.get("inited"):
         status.source = "running"
-        settings = {EXECUTABLE: "exepath", PROJECT: "project"}
-        settings |= {THREADS: "opt_threads", SIGNALS: "opt_handle_signals"}
-        variables |= os.environ | {EXECUTABLE: "julia", PROJECT: "", THREADS: "1", SIGNALS: "no"}
-        variables |= {name: str(config[key]) for name, key in settings.items() if config.get(key)}
+        variables: dict[str, str] = {**os.environ}
+        for name, key, default in _OF_JULIACALL:
+            variables[name] = str(config.get(key) or default)
     else:
         given = [name for name in (EXECUTABLE, PROJECT) if os.environ.get(name)]
         if len(given) == 1:
             raise EngineUnavailableError(f"Set {EXECUTABLE} and {PROJECT} together, or neither.")
-        named = {} if given else _read_file(status)
-        variables |= named | os.environ
+        variables = {**_OWN, **({} if given else _read_file(status)), **os.environ}
     if variables.get(EXECUTABLE):
         status.executable, status.project = Path(variables[EXECUTABLE]), Path(variables[PROJECT])
     else:
@@ -227,17 +227,17 @@ def _ask_juliapkg(status: JuliaStatus) -> None:
         import juliapkg
 
         if juliapkg.resolve(dry_run=True):
-            status.executable = Path(juliapkg.executable())
-            status.project = Path(juliapkg.project())
+            status.executable, status.project = map(
+                Path, (juliapkg.executable(), juliapkg.project())
+            )
             return
     except Exception as error:
         raise EngineUnavailableError(
             f"juliapkg, which installs Julia, failed: {error}. {how_to_prepare()}"
         ) from error
     status.installable = not status.offline
-    if status.offline:
-        reason = "and PYTHON_JULIAPKG_OFFLINE forbids its installation."
-    else:
+    reason = "and PYTHON_JULIAPKG_OFFLINE forbids its installation."
+    if status.installable:
         reason = (
             'yet: engine="julia" downloads it and its packages once (some minutes, about 2 GB). '
             "For a machine without network access:"
@@ -253,14 +253,12 @@ def _check_executable(status: JuliaStatus) -> str:
     if version is None:
         named = {"environment": EXECUTABLE, "file": str(julia_settings_file())}
         where = named.get(status.source, status.source)
-        raise EngineUnavailableError(
-            f"{executable}, which {where} names, does not run as Julia. Correct it there."
-        )
-    if version < _OLDEST:
-        raise EngineUnavailableError(
-            f"Julia {version} at {executable} is too old: {_OLDEST} or newer is needed."
-        )
-    return str(version)
+        problem = f"{executable}, which {where} names, does not run as Julia. Correct it there."
+    elif version < _OLDEST:
+        problem = f"Julia {version} at {executable} is too old: {_OLDEST} or newer is needed."
+    else:
+        return str(version)
+    raise EngineUnavailableError(problem)
 
 
 def _check_packages(status: JuliaStatus, depots: str) -> None:
@@ -269,7 +267,7 @@ def _check_packages(status: JuliaStatus, depots: str) -> None:
     manifest = next(iter(sorted(project.glob("*Manifest*.toml"))), project / "Manifest.toml")
     entries = {name: entry for name, (entry, *_) in _toml(manifest).get("deps", {}).items()}
     versions = {name: entry.get("version", "Julia's own") for name, entry in entries.items()}
-    ours, where, needed = julia_sources(), project, [*_NEEDED]
+    ours, where, needed = julia_sources(), project, ["PCNDECore", "PythonCall"]
     if "path" in entries.get("PCNDECore", {}):
         # The manifest has the version of the day on which it was written.
         where = project / entries["PCNDECore"]["path"]
@@ -287,8 +285,7 @@ def _check_packages(status: JuliaStatus, depots: str) -> None:
         )
     check_core(versions["PCNDECore"], where, project)
     status.packages = {name: versions[name] for name in _COMPUTING if versions.get(name)}
-    major_minor = str(status.version).rpartition(".")[0]
-    compiled = f"compiled/v{major_minor}/PCNDECore/*.ji"
+    compiled = f"compiled/v{str(status.version).rpartition('.')[0]}/PCNDECore/*.ji"
     folders = [folder for folder in depots.split(os.pathsep) if folder] or ["~/.julia"]
     status.precompiled = any(any(Path(folder).expanduser().glob(compiled)) for folder in folders)
 

@@ -200,7 +200,7 @@ def start() -> types.ModuleType:
         raise EngineUnavailableError(
             f"Julia did not start: {output[-1].rstrip('.')}. {how_to_prepare()}"
         ) from error
-    return juliacall  # type: ignore[no-any-return]
+    return juliacall
 
 
 def load_error(timeout: float | None = None) -> str:

@@ -8,7 +8,7 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.julia.runtime import Julia
 from pcnde_bridge.engines.protocol import Stage
-from pcnde_bridge.engines.types import Fit, Objective, OnIteration, StageInputs
+from pcnde_bridge.engines.types import Fit, FitData, Objective, OnIteration, StageInputs, ignore
 
 
 class JuliaStage(Stage):
@@ -18,28 +18,19 @@ class JuliaStage(Stage):
         self._julia = julia
         self._name = name
 
-    def solve(
-        self, parameters: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def solve(self, vector: Array, inputs: StageInputs, grid: Grid, config: PCNDEConfig) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        result: Array = self._julia.call("solve", self._name, parameters, inputs, grid, config)
-        return result
+        return self._julia.call("solve", self._name, vector, inputs, grid, config)
 
-    def losses(
-        self, parameters: Array, inputs: StageInputs, target: Array, grid: Grid, config: PCNDEConfig
-    ) -> Array:
+    def losses(self, vectors: Array, data: FitData) -> Array:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
-        problem = self._name, parameters, inputs, target, grid, config
-        result: Array = self._julia.call("losses", *problem)
-        return result
+        return self._julia.call("losses", self._name, vectors, *data)
 
-    def objective(
-        self, inputs: StageInputs, target: Array, weight: Array, grid: Grid, config: PCNDEConfig
-    ) -> Objective:
+    def objective(self, data: FitData, weight: Array) -> Objective:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         chosen = weight > 0
-        arrays = tuple(array[chosen] for array in inputs)
-        data = self._name, arrays, target[chosen], weight[chosen], grid, config
+        inputs = tuple(array[chosen] for array in data.inputs)
+        arrays = inputs, data.target[chosen], weight[chosen]
         identity = object()
 
         def evaluate(parameters: Array) -> tuple[float, Array]:
@@ -47,7 +38,7 @@ class JuliaStage(Stage):
             # another thread.
             if self._julia.problem is not identity:
                 self._julia.problem = None
-                self._julia.call("store_objective", *data)
+                self._julia.call("store_objective", self._name, *arrays, data.grid, data.config)
                 self._julia.problem = identity
             loss, gradient = self._julia.call("stored_loss_and_gradient", parameters)
             return float(loss), gradient
@@ -55,14 +46,7 @@ class JuliaStage(Stage):
         return evaluate
 
     def fit(
-        self,
-        parameters: Array,
-        inputs: StageInputs,
-        target: Array,
-        grid: Grid,
-        config: PCNDEConfig,
-        iterations: int,
-        on_iteration: OnIteration | None = None,
+        self, start: Array, data: FitData, iterations: int, on_iteration: OnIteration = ignore
     ) -> Fit:
         """See :class:`pcnde_bridge.engines.protocol.Stage`."""
         with interrupts.watched() as raise_interrupt:
@@ -70,10 +54,8 @@ class JuliaStage(Stage):
             def after_iteration(number: int, loss: float) -> None:
                 # Called even without a callback: here Python notices a Ctrl-C.
                 raise_interrupt()
-                if on_iteration is not None:
-                    on_iteration(int(number), float(loss))
+                on_iteration(int(number), float(loss))
 
-            problem = self._name, parameters, inputs, target, grid, config
-            found = self._julia.call("fit", *problem, iterations, after_iteration)
-        fitted, losses, converged, message = found
+            problem = self._name, start, *data, iterations
+            fitted, losses, converged, message = self._julia.call("fit", *problem, after_iteration)
         return Fit(fitted, losses, bool(converged), str(message))

@@ -1,4 +1,8 @@
-"""Fit of the spatial pressure on all cases at once, all but its steepness by least squares."""
+"""Fit of the pressure stages on all cases at once.
+
+The last layer of the pressure network is found by least squares, and so are all parameters of
+the spatial pressure but its steepness.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,58 @@ from dataclasses import replace
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.config import PCNDEConfig
-from pcnde_bridge.engines.shared_terms import (
-    STEEPNESS,
-    flow_at_stenosis,
-    stenosis_drop,
-    step_profile,
-)
-from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration, SpatialPressureInputs
-from pcnde_bridge.training.lbfgs import minimize
+from pcnde_bridge.engines import shared_terms as terms
+from pcnde_bridge.engines.types import LBFGS, Fit, FitData, OnIteration, ignore
+from pcnde_bridge.training.lbfgs import Options, minimize
 from pcnde_bridge.training.least_squares import solve_normal
+from pcnde_bridge.training.variable_projection import Projection, VariableProjection
+from pcnde_bridge.training.whitening import Whitening
+
+_RIDGE = 1e-9  # on the last layer, p_ref²
+
+
+class TemporalPressureFit(VariableProjection):
+    """Fit of the pressure network, a row for each case and time point.
+
+    With the last hidden layer h and the scale s = E·h_w/(r₀·p_ref) of a case,
+    p̂* − 1 = s·(W·h + c).  For given hidden layers W and c are the minimum of the loss, so the
+    gradient with respect to the hidden layers is the one at constant W and c.
+
+    Parameters
+    ----------
+    data : FitData
+        Inputs of all training cases, reference p/p_ref, network and settings.
+    """
+
+    def __init__(self, data: FitData) -> None:
+        (flow, area, area_undeformed), target, _, config = data
+        settings, network = config.full_batch, config.temporal_pressure
+        seen = terms.network_inputs(flow, area, area_undeformed, config)
+        seen = seen.reshape(-1, seen.shape[2])
+        whitening = Whitening(seen, network.hidden[0], settings.whitening)
+        limits = settings.memory, settings.pressure_weight_decay, settings.pressure_iterations
+        options = Options(*limits, float(np.mean(target**2)))
+        super().__init__(seen, whitening, network, target.shape[2], options)
+        scale = terms.pressure_scale(area_undeformed, config.physics)
+        self._scale = np.repeat(scale, target.shape[1])[:, None]
+        flat = (target - 1).reshape(-1, target.shape[2])
+        self._scaled_target, self._size = self._scale * flat, target.size
+        self._square = float(np.sum(flat**2))
+
+    def project(self, hidden: Array) -> Projection:
+        """Find W and c, (hidden + 1, z), for the output of the hidden layers."""
+        design = np.column_stack([hidden, np.ones(len(hidden))])
+        normal = (self._scale**2 * design).T @ design
+        normal += np.diag([_RIDGE * self._size] * hidden.shape[1] + [0.0])
+        right = np.einsum("nk,nz->kz", design, self._scaled_target)  # too narrow for BLAS to gain
+        layer = solve_normal(normal, right.T).T
+        squares = self._square + float(np.sum(layer * (normal @ layer - 2 * right)))
+        weights, bias = layer[:-1], layer[-1]
+        # s·(s·(W·h + c) − y)·Wᵀ without the residual at every point.
+        fit = hidden @ (weights @ weights.T) + bias @ weights.T
+        wanted = np.einsum("nz,kz->nk", self._scaled_target, weights)
+        gradient = (2 / self._size) * (self._scale**2 * fit - wanted)
+        return layer, squares / self._size, gradient
 
 
 class SpatialPressureFit:
@@ -28,31 +74,25 @@ class SpatialPressureFit:
 
     Parameters
     ----------
-    inputs : SpatialPressureInputs
-        Inputs of the cases to fit.
-    target : array of shape (case, time, z)
-        Reference p/p_ref.
-    z : array of shape (z,)
-        Points, cm.
-    config : PCNDEConfig
-        Settings.
+    data : FitData
+        Inputs of the cases to fit, reference p/p_ref, points and settings.
     """
 
-    def __init__(
-        self, inputs: SpatialPressureInputs, target: Array, z: Array, config: PCNDEConfig
-    ) -> None:
-        physics, settings = config.physics, config.full_batch.replace(weight_decay=0.0)
-        self._limits = settings, settings.pressure_iterations, float(np.mean(target**2))
-        at_stenosis = flow_at_stenosis(inputs.flow, z, physics)
+    def __init__(self, data: FitData) -> None:
+        (temporal, flow, area_undeformed), target, grid, config = data
+        physics, settings, z = config.physics, config.full_batch, grid.z
+        limits = settings.memory, 0.0, settings.pressure_iterations
+        self._options = Options(*limits, float(np.mean(target**2)))
+        at_stenosis = terms.flow_at_stenosis(flow, z, physics)
         drop, with_more = (
-            stenosis_drop(at_stenosis, inputs.area_undeformed, coefficient, physics)
+            terms.stenosis_drop(at_stenosis, area_undeformed, coefficient, physics)
             for coefficient in (physics.turbulent_coefficient, physics.turbulent_coefficient + 1)
         )
         more = (with_more - drop) / physics.reference_pressure
         drop = drop / physics.reference_pressure
-        wanted = target - inputs.temporal.mean(axis=2, keepdims=True)
-        self._height, distance = step_profile(z, config)
-        self._inside = STEEPNESS * distance
+        wanted = target - temporal.mean(axis=2, keepdims=True)
+        self._height, distance = terms.step_profile(z, config)
+        self._inside = terms.STEEPNESS * distance
         self._cases, self._size = float(len(target)), target.size
         self._wanted = wanted.sum(axis=0)
         self._wanted_square = float(np.sum(wanted**2))
@@ -62,10 +102,10 @@ class SpatialPressureFit:
         self._more_more, self._more_drop = (more * more).sum(axis=0), (more * drop).sum(axis=0)
         self._drop_drop = (drop * drop).sum(axis=0)
 
-    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration | None = None) -> Fit:
+    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration = ignore) -> Fit:
         """Fit the vector a₁, a₂, b₁, b₂, of shape (2 + 2·time,), from a given one."""
         first = start[2 + len(self._drop) :]
-        found = minimize(self.objective, first, *self._limits, lbfgs, on_iteration)
+        found = minimize(self.objective, first, self._options, lbfgs, on_iteration)
         linear, _ = self.linear(self.step(found.parameters)[0])
         return replace(found, parameters=np.concatenate([linear, found.parameters]))
 
