@@ -10,7 +10,7 @@ import typer
 
 from pcnde_bridge._version import __version__
 from pcnde_bridge.cli import options
-from pcnde_bridge.cli.console import say
+from pcnde_bridge.cli.console import say, show_numbers
 from pcnde_bridge.cli.options import check_outputs, name_pairs, option, units_of
 from pcnde_bridge.errors import InputError
 
@@ -82,6 +82,42 @@ def convert(
         labels=None if labels is None else io.read_labels(labels, files),
     )
     _save(cases, out)
+
+
+def design(
+    inflow: Path = option(..., "Table: time (s), then one column of Q (mL/s) per inflow."),
+    area: Path = option(..., "Table: z (cm), then one column of S_u (cm²) per vessel."),
+    out: Path = option(..., "Folder for the list and the input of the simulations."),
+    count: int = option(6, "Number of simulations to choose.", min=1),
+    done: Path | None = option(
+        None, "Data set of finished simulations, with the labels of this command."
+    ),
+    period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
+) -> None:
+    """Choose which simulations to run, from inflows and vessels alone.
+
+    Every vessel can have every inflow. With --done, further ones are chosen, and the errors
+    of a model of the finished ones (preset physics) for all pairs are estimated.
+    """
+    from pcnde_bridge.data.selection import case_keys, pair_positions
+    from pcnde_bridge.evaluation import design as designs
+    from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.io.input_tables import read_candidates
+    from pcnde_bridge.model.pcnde import PCNDE
+
+    candidates, labels = designs.all_pairs(*read_candidates(inflow, area, period))
+    finished = None if done is None else load_cases(str(done))
+    pairs = [] if finished is None else case_keys(finished.labels)
+    positions = pair_positions(labels, pairs, str(done)).tolist() if pairs else []
+    chosen = designs.choose(candidates, count, done=positions)
+    designs.write_inputs(out, candidates, labels, chosen)
+    for case, reason in zip(chosen["case"], chosen["reason"], strict=True):
+        geometry, waveform = labels.to_numpy()[case]
+        say(f"geometry {geometry}, waveform {waveform}: {reason}")
+    say(f"Saved the list and the input of the simulations in {out}.")
+    if finished is not None:
+        model = PCNDE.fit(finished, "physics")
+        show_numbers(designs.expected_errors(model, candidates), "estimated error")
 
 
 def download(

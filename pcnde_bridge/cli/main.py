@@ -43,6 +43,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "predict": predict.predict,
     "demo": train.demo,
     "simulate": data.simulate,
+    "design": data.design,
     "convert": data.convert,
     "bench": train.bench,
     "app": predict.explore,

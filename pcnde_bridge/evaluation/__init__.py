@@ -13,6 +13,8 @@ from pcnde_bridge.evaluation.baselines import (
 )
 from pcnde_bridge.evaluation.benchmark import bench_baseline, bench_model
 from pcnde_bridge.evaluation.cross_validation import cross_validate
+from pcnde_bridge.evaluation.learning_curve import learning_curve
+from pcnde_bridge.evaluation.sensitivity import sobol_indices
 from pcnde_bridge.evaluation.sweep import sweep
 
 __all__ = [
@@ -24,6 +26,8 @@ __all__ = [
     "bench_baseline",
     "bench_model",
     "cross_validate",
+    "learning_curve",
+    "sobol_indices",
     "standard_baselines",
     "sweep",
 ]

@@ -138,6 +138,41 @@ def read_cycle(
     return period, columns
 
 
+def read_candidates(
+    inflow: StrPath, area: StrPath, period: float | None = None
+) -> tuple[Array, Array, Grid]:
+    """Read inflows and undeformed areas that are not paired.
+
+    Parameters
+    ----------
+    inflow, area, period
+        As in :func:`read_inputs`; the time points must be equally spaced and start at 0.
+
+    Returns
+    -------
+    inflow : array of shape (waveform, time)
+        Q, mL/s.
+    area_undeformed : array of shape (geometry, z)
+        S_u, cm².
+    grid : Grid
+        Time points and points of the tables.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read as a table.
+    InputError
+        If a table is not usable.
+    """
+    cycle, waveforms = read_cycle(inflow, 0.0, math.nan, period=period)
+    z, vessels = _read(area, "z")
+    check_increasing("z", z, "cm")
+    if not (vessels > 0).all(axis=None):
+        raise InputError(f"{area} must hold positive areas, in cm².")
+    time: Array = np.arange(len(waveforms), dtype=np.float64) * (cycle / len(waveforms))
+    return _rows(waveforms), _rows(vessels), Grid(time, z, cycle)
+
+
 def _is_closed(waveforms: Array, usual_length: bool) -> bool:
     """Return whether the last time point repeats the first, up to round-off.
 

@@ -1,0 +1,220 @@
+"""Which simulations to run: an ordered list of few cases, from inflows and areas alone.
+
+Each step takes the candidate next to the case that is farthest from those chosen before, as the
+method of Kennard and Stone (1969, Technometrics 11:137); the first two are the ends of the
+longest distance.  Distances are those of the quantities of
+:data:`~pcnde_bridge.uncertainty.novelty.QUANTITIES` that differ between the cases, such as the
+amplitude of the inflow and the logarithm of the narrowest area ratio, each over its range.  The
+method was chosen by errors on left-out cases, see the page "How many simulations do I need?".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._utils.files import make_folder, write_csv
+from pcnde_bridge._utils.validation import whole
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.types import ModelInputs
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.model.metrics import relative_error
+from pcnde_bridge.model.prediction import Prediction
+from pcnde_bridge.model.predictor import Predictor
+from pcnde_bridge.uncertainty.novelty import QUANTITIES, Novelty, describe
+
+
+def all_pairs(
+    inflow: Array, area_undeformed: Array, grid: Grid
+) -> tuple[ModelInputs, pd.DataFrame]:
+    """Combine every vessel with every inflow, as candidates.
+
+    Parameters
+    ----------
+    inflow : array of shape (waveform, time)
+        Q_in, mL/s.
+    area_undeformed : array of shape (geometry, z)
+        S_u, cm².
+    grid : Grid
+        Their time points and points.
+
+    Returns
+    -------
+    candidates : ModelInputs
+        The waveforms vary fastest.
+    labels : DataFrame
+        Columns ``geometry`` and ``waveform``, numbers from 1, a row for each candidate.
+    """
+    geometry, waveform = np.indices((len(area_undeformed), len(inflow))).reshape(2, -1)
+    labels = pd.DataFrame({"geometry": geometry + 1, "waveform": waveform + 1})
+    return ModelInputs(inflow[waveform], area_undeformed[geometry], grid), labels
+
+
+def choose(
+    candidates: ModelInputs,
+    count: int,
+    *,
+    done: Sequence[int] = (),
+    use: ModelInputs | None = None,
+) -> pd.DataFrame:
+    """Choose the simulations to run, in order.
+
+    Parameters
+    ----------
+    candidates : ModelInputs
+        Inflows and areas that can be simulated.
+    count : int
+        Number of simulations to choose.
+    done : sequence of int
+        Positions of the candidates that have been simulated.
+    use : ModelInputs, optional
+        Inflows and areas that the model will be used for; by default the candidates.
+
+    Returns
+    -------
+    DataFrame
+        A row for each simulation: ``case``, its position; its quantities (see
+        :func:`~pcnde_bridge.uncertainty.novelty.describe`) that differ between candidates;
+        ``reason``; ``uncovered``, the largest distance of a case of ``use`` from its nearest
+        simulation so far, in ranges of the quantities; and ``farthest``, that case.
+
+    Raises
+    ------
+    InputError
+        If there are fewer candidates than simulations, or ``done`` is not usable.
+    """
+    chosen, total = [int(case) for case in done], len(candidates.inflow)
+    if len(set(chosen)) < len(chosen) or not all(0 <= case < total for case in chosen):
+        raise InputError(f"done must be different positions of the {total} candidates.")
+    if whole("count", count, 1) > total - len(chosen):
+        left = f"{total - len(chosen)} of {total} candidates are left"
+        raise InputError(f"{count} simulations cannot be chosen: {left}.")
+    names, values, points, targets = _scaled(candidates, use or candidates)
+    distance = np.linalg.norm(targets[:, None] - points, axis=2)  # (use, candidate)
+    rows: list[dict[str, Any]] = []
+    for _ in range(count):
+        free = np.setdiff1d(np.arange(total), chosen)
+        # The first one is at one end of the longest distance, the second one at the other.
+        near = distance[:, chosen].min(axis=1) if chosen else distance.max(axis=1)
+        case = int(free[distance[near.argmax(), free].argmin()])
+        reason = _reason(names, values, points, case, chosen)
+        chosen.append(case)
+        near = distance[:, chosen].min(axis=1)
+        found = dict(zip(names, values[case], strict=True))
+        rows.append({"case": case, **found, "reason": reason})
+        rows[-1] |= {"uncovered": near.max(), "farthest": int(near.argmax())}
+    return pd.DataFrame(rows)
+
+
+def _scaled(candidates: ModelInputs, use: ModelInputs) -> tuple[list[str], Array, Array, Array]:
+    """Return names and values of the quantities that differ, and both sets scaled by range.
+
+    The ranges are those of the novelty, which are not narrower than a share of the quantity.
+    """
+    inflow = np.concatenate([candidates.inflow, use.inflow])
+    area = np.concatenate([candidates.area_undeformed, use.area_undeformed])
+    middle, half_width = Novelty.fit(inflow, area, candidates.grid).ranges
+    described = [describe(*inputs) for inputs in (candidates, use)]
+    # What a case does not have, such as the frequency of a steady flow, is in the middle.
+    values, wanted = (np.where(np.isnan(found), middle, found) for found in described)
+    differ = np.ptp(np.concatenate([values, wanted]), axis=0) > half_width
+    names = [name for name, differs in zip(QUANTITIES, differ, strict=True) if differs]
+    scale = 2 * half_width[differ]
+    return names, values[:, differ], values[:, differ] / scale, wanted[:, differ] / scale
+
+
+def _reason(
+    names: Sequence[str], values: Array, points: Array, case: int, before: Sequence[int]
+) -> str:
+    """Return in which quantity a case differs most from the nearest one before."""
+    if not before:
+        return "one end of the longest distance"
+    moved = points[before] - points[case]
+    nearest = int(np.linalg.norm(moved, axis=1).argmin())
+    most = int(np.abs(moved[nearest]).argmax())
+    there = values[before[nearest], most]
+    return f"{names[most]} {values[case, most]:.3g}; in the nearest one before, {there:.3g}"
+
+
+def expected_errors(
+    model: Predictor, use: ModelInputs, samples: int = 64, seed: int = 0
+) -> pd.DataFrame:
+    """Estimate the errors of a model for cases without results, as a stopping rule.
+
+    The distances of a calibrated model's samples from their mean stand for its errors.
+
+    Parameters
+    ----------
+    model : PCNDE or Ensemble
+        Model with samples: of the preset ``physics``, or an ensemble.
+    use : ModelInputs
+        Inflows and areas that the model will be used for.
+    samples, seed : int
+        Number of samples, and their random seed.
+
+    Returns
+    -------
+    DataFrame
+        A row for each of ``flow``, ``area``, ``pressure`` and ``pressure_drop``; ``expected``,
+        the median of the relative error over all cases, and ``upper``, its 90 % quantile.
+    """
+    inflow, area_undeformed, grid = use
+    where: dict[str, Any] = {"z": grid.z, "period": grid.period} if model.any_grid else {}
+    prediction = model.predict(inflow, area_undeformed, samples=samples, seed=seed, **where)
+
+    def quantities(of: Prediction) -> dict[str, Array]:
+        return {n: getattr(of, n) for n in VARIABLES} | {"pressure_drop": of.pressure_drop()}
+
+    mean = quantities(prediction)
+    errors = [
+        {name: relative_error(values, mean[name]) for name, values in quantities(one).items()}
+        for one in prediction.each_sample()
+    ]
+    quantiles = pd.DataFrame(errors).quantile([0.5, 0.9]).T
+    return quantiles.set_axis(["expected", "upper"], axis="columns")
+
+
+def write_inputs(
+    folder: StrPath, candidates: ModelInputs, labels: pd.DataFrame, chosen: pd.DataFrame
+) -> None:
+    """Write the input of the chosen simulations.
+
+    Parameters
+    ----------
+    folder : path-like
+        Folder for ``design.csv``, the chosen simulations; ``labels.csv``, which names the
+        result file of each one for ``pcnde convert --labels``; for each waveform
+        ``inflow_W.flow``, time (s) and flow (mL/s), negative into the vessel, as SimVascular
+        reads it; and for each geometry ``vessel_G.csv``, z (cm) and S_u (cm²).
+    candidates : ModelInputs
+        The candidates.
+    labels : DataFrame
+        Columns ``geometry`` and ``waveform``, a row for each candidate.
+    chosen : DataFrame
+        Result of :func:`choose`.
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be written.
+    """
+    path, (inflow, area_undeformed, grid) = Path(folder), candidates
+    make_folder(path)
+    keys = labels.loc[chosen["case"], ["geometry", "waveform"]].reset_index(drop=True)
+    files = [f"G{g}_W{w}.vtp" for g, w in keys.itertuples(index=False)]
+    time = np.append(grid.time - grid.time[0], grid.period)
+    pairs = zip(chosen["case"], keys.itertuples(index=False), strict=True)
+    for case, (geometry, waveform) in pairs:
+        cycle = pd.DataFrame({"time": time, "flow": -np.append(inflow[case], inflow[case, 0])})
+        flow_file = path / f"inflow_{waveform}.flow"
+        write_csv(flow_file, cycle, index=False, header=False, sep="\t")
+        vessel = pd.DataFrame({"z": grid.z, "area": area_undeformed[case]})
+        write_csv(path / f"vessel_{geometry}.csv", vessel, index=False)
+    write_csv(path / "labels.csv", keys.assign(file=files), index=False)
+    write_csv(path / "design.csv", pd.concat([keys, chosen], axis="columns"), index=False)

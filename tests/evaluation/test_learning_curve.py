@@ -1,0 +1,32 @@
+"""Learning curves with fits that need no compiling."""
+
+from __future__ import annotations
+
+import pytest
+from helpers import ToyEngine
+
+from pcnde_bridge import PCNDE, InputError
+from pcnde_bridge.engines.types import ModelInputs
+from pcnde_bridge.evaluation import learning_curve
+from pcnde_bridge.evaluation.design import choose
+
+
+def test_designed_and_random_subsets(small_cases, toy_config, tmp_path):
+    train, test = small_cases.select(slice(0, 8)), small_cases.select(slice(8, 12))
+    engine, config = ToyEngine(), toy_config.replace(flow={"epochs": 2, "couple_every": 1})
+    run = train, test, (2, 4), config, engine, 3
+    table = learning_curve(*run, draws=2, folder=tmp_path, progress=False)
+    assert table.index.tolist() == [
+        (size, name) for size in (2, 4) for name in ("designed", "random 0", "random 1")
+    ]
+    assert table["failure"].isna().all()
+    order = choose(ModelInputs(train.inflow, train.area_undeformed, train.grid), 4)["case"]
+    model = PCNDE.fit(train.select(order.tolist()), config, engine, 3, progress=False)
+    expected = model.evaluate(test).iloc[-1]
+    found = table.loc[(4, "designed")]
+    assert found["flow"] == expected["flow"]
+    assert found["pressure_drop"] == expected["pressure_drop"]
+    again = learning_curve(*run, draws=2, folder=tmp_path, progress=False)
+    assert again.equals(table)
+    with pytest.raises(InputError, match="numbers up to 8"):
+        learning_curve(train, test, (9,), config, engine)

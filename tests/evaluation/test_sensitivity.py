@@ -1,0 +1,64 @@
+"""Sobol indices of a formula, and of a fitted model."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pcnde_bridge import InputError, MissingExtraError
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.evaluation import sensitivity, sobol_indices
+
+pytest.importorskip("SALib")
+
+RANGES = {"blockage": (0.4, 0.8), "mean_flow": (1.0, 2.0), "amplitude": (0.5, 1.5)}
+
+
+class Formula:
+    """Model whose index is 5·blockage + mean flow, as its inputs show them."""
+
+    grid = Grid(np.arange(40) / 40, np.linspace(0, 4, 401), 1.0)
+
+    def predict(self, inflow, area_undeformed):
+        blockage = 1 - area_undeformed.min(axis=1) / area_undeformed[:, 0]
+        index = 5 * blockage + inflow.mean(axis=1)
+        return SimpleNamespace(indices=lambda: pd.DataFrame({"ffr": index, "flow": index**2}))
+
+
+def test_indices_of_a_sum(monkeypatch):
+    """The shares of the variance are known: 5²·0.4² and 1."""
+    monkeypatch.setattr(sensitivity, "_BATCH", 100)
+    found = sobol_indices(Formula(), RANGES, ("ffr",), samples=1024).loc["ffr"]
+    shares = np.array([4.0, 1.0, 0.0]) / 5
+    assert found.index.tolist() == [*RANGES]
+    assert np.allclose(found["total"], shares, atol=0.02)
+    assert np.allclose(found["first"], shares, atol=0.02)
+    assert (found["total_interval"] < 0.15).all()
+
+
+def test_a_model_of_the_preset_physics(physics_model):
+    ranges = {"blockage": (0.45, 0.6), "amplitude": (0.8, 1.0)}
+    found = sobol_indices(physics_model, ranges, ("ffr", "mean_drop_mmHg"), samples=16)
+    assert found.index.names == ["index", "input"]
+    assert found.loc[("mean_drop_mmHg", "blockage"), "total"] > 0.5
+
+
+@pytest.mark.parametrize("ranges", [{"colour": (0, 1)}, {"blockage": (0.8, 0.4)}])
+def test_unusable_ranges_are_refused(ranges):
+    with pytest.raises(InputError, match="is not a range of one of"):
+        sobol_indices(Formula(), ranges)
+
+
+def test_unknown_indices_are_refused():
+    with pytest.raises(InputError, match="no index 'weight'"):
+        sobol_indices(Formula(), RANGES, ("weight",), samples=2)
+
+
+def test_a_missing_extra_is_reported(monkeypatch):
+    monkeypatch.setitem(sys.modules, "SALib.sample.sobol", None)
+    with pytest.raises(MissingExtraError, match=r"pcnde-bridge\[sensitivity\]"):
+        sobol_indices(Formula(), RANGES)
