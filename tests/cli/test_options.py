@@ -40,7 +40,7 @@ def test_split_by_fraction_or_label(small_cases, capsys):
     ("split", "error", "message"),
     [
         ("2", InputError, "between 0 and 1, got 2"),
-        ("geometry=5", InputError, "no case has geometry = 5.0; the values are: 1, 2, 3"),
+        ("geometry=5", InputError, "no case has geometry = 5; the values are: 1, 2, 3"),
         ("geometry=a", InputError, "no case has geometry = a; the values are: 1, 2, 3"),
         ("geometri=1", DataNotFoundError, "no split file 'geometri=1'; give 'paper', a fraction"),
     ],
