@@ -94,9 +94,9 @@ def cross_validate(
     import pandas as pd
 
     from pcnde_bridge._utils.parallel import processes
-    from pcnde_bridge.data.variables import VARIABLES
     from pcnde_bridge.evaluation import cross_validation
     from pcnde_bridge.io.datasets import load_cases
+    from pcnde_bridge.model.metrics import ERRORS
 
     settings = settings_of(preset, config)
     check_outputs(csv, inputs=[Path(data)])
@@ -107,7 +107,7 @@ def cross_validate(
         )
     if csv is not None:
         write_csv(csv, table)
-    errors = table[list(VARIABLES)].dropna(axis="columns", how="all")
+    errors = table[list(ERRORS)].dropna(axis="columns", how="all")
     means = errors.groupby("label").mean().rename("mean, {}".format)
     table.index = errors.index = pd.Index([" ".join(map(str, key)) for key in errors.index])
     if not errors.empty:

@@ -39,9 +39,10 @@ def cross_validate(
     -------
     DataFrame
         Indexed by ``label`` (waveform or geometry) and ``value``.  Columns: ``cases``, the
-        number of cases held out; their relative errors ``flow``, ``area`` and
-        ``pressure``; those of the training cases, ``train_flow`` and so on; ``seconds`` of
-        the fit; ``failure``, the reason for missing numbers, else None.
+        number of cases held out; their relative errors, such as ``flow``, see
+        :data:`~pcnde_bridge.model.metrics.ERRORS`; those of the training cases,
+        ``train_flow`` and so on; ``seconds`` of the fit; ``failure``, the reason for missing
+        numbers, else None.
 
     Raises
     ------

@@ -18,7 +18,6 @@ from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.evaluation.design import choose
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
-from pcnde_bridge.model.metrics import ERRORS
 
 
 def learning_curve(
@@ -76,7 +75,7 @@ def learning_curve(
         "seed": seed,
         "subsets": [subset.tolist() for subset in subsets.values()],
     }
-    return score_fits(tasks, index, facts, ERRORS, **options)
+    return score_fits(tasks, index, facts, **options)
 
 
 def _subsets(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Unpack, cast
 
@@ -11,9 +11,8 @@ import pandas as pd
 from pcnde_bridge._utils.parallel import RunOptions, run
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineChoice, EngineName, select_engine
-from pcnde_bridge.model.metrics import pooled
+from pcnde_bridge.model.metrics import ERRORS, pooled
 from pcnde_bridge.model.pcnde import PCNDE
 
 
@@ -62,7 +61,6 @@ def score_fits(
     tasks: Mapping[str, FitTask],
     index: pd.MultiIndex,
     facts: Mapping[str, Any],
-    errors: Sequence[str] = VARIABLES,
     **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Run fits, and return their errors in columns that do not depend on failures.
@@ -75,8 +73,6 @@ def score_fits(
         Index of the rows, one for each task in their order.
     facts : mapping
         Facts that identify the study, see :func:`common_facts`.
-    errors : sequence of str
-        Names of the errors, see :func:`~pcnde_bridge.model.metrics.pooled_errors`.
     **options
         ``executor``, ``retries``, ``folder`` and ``progress``, as in
         :func:`pcnde_bridge._utils.parallel.run`.
@@ -84,13 +80,14 @@ def score_fits(
     Returns
     -------
     DataFrame
-        The errors, such as ``flow``, where cases were held out, ``train_flow`` and so on,
-        ``seconds``, and ``failure``: the reason for missing numbers, else None.
+        Columns of :data:`~pcnde_bridge.model.metrics.ERRORS` where cases were held out, NaN
+        where there is no such error, ``train_flow`` and so on, ``seconds``, and ``failure``:
+        the reason for missing numbers, else None.
     """
     outcome = run(_fit_and_score, tasks, facts=facts, **options)
     held_out = any(task.held_out is not None for task in tasks.values())
     prefixes = ("", "train_") if held_out else ("train_",)
-    numbers = [f"{prefix}{name}" for prefix in prefixes for name in errors] + ["seconds"]
+    numbers = [f"{prefix}{name}" for prefix in prefixes for name in ERRORS] + ["seconds"]
     rows = [outcome.results.get(name, {}) for name in tasks]
     table = pd.DataFrame(rows, index=index, columns=numbers, dtype=float)
     table["failure"] = pd.Series(list(map(outcome.failures.get, tasks)), index, dtype=object)

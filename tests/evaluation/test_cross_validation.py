@@ -47,6 +47,8 @@ def test_cross_validation(small_cases, config, engine, tmp_path):
     row = table.loc[("waveform", 2)]
     errors = [model.evaluate(cases).iloc[-1][list(VARIABLES)] for cases in (held, rest)]
     assert row[NUMBERS].tolist() == [*errors[0], *errors[1]]
+    assert row["pressure_drop"] == model.evaluate(held).iloc[-1]["pressure_drop"]
+    assert table["wall_shear_stress"].isna().all()
     parallel = cross_validate(small_cases, config, engine, 3, executor=processes(2), progress=False)
     assert parallel[NUMBERS].equals(table[NUMBERS])
     again = cross_validate(
@@ -86,7 +88,9 @@ def test_cross_validation_on_the_command_line(commands, small_cases, config, eng
     code, printed, _ = commands("cross-validate", "--csv", "table.csv", "--folder", "kept")
     assert code == 0
     table = cross_validate(small_cases, config, engine, progress=False)
-    assert f"{table.loc[('geometry', 2), 'pressure']:.4f}" in printed
+    for name in ("pressure", "one_minus_ffr"):
+        assert f"{table.loc[('geometry', 2), name]:.4f}" in printed
+    assert "WSS" not in printed
     assert "mean, waveform" in printed
     written = read_frame("table.csv", index_col=["label", "value"])
     np.testing.assert_array_equal(written[NUMBERS], table[NUMBERS])
