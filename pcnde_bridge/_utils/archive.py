@@ -123,8 +123,9 @@ def interpreting(where: StrPath, what: str) -> Iterator[None]:
 
 def archive_kind(path: StrPath) -> str | None:
     """Return the kind that an archive states, or None if it cannot be read."""
-    with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as archive:
-        kind = _facts(archive)["format"]
+    with contextlib.suppress(Exception), reading(path, "an archive"):
+        with np.load(path, allow_pickle=False) as archive:
+            kind = _facts(archive)["format"]
         return kind if isinstance(kind, str) else None
     return None  # read_archive explains the reason
 

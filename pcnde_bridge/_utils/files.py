@@ -7,12 +7,18 @@ import errno
 import glob
 import json
 import os
+import re
 import secrets
 import shutil
+import signal
+import stat
+import threading
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import filelock
 
 from pcnde_bridge.errors import DataNotFoundError, FileError, InputError, PCNDEError
 
@@ -25,6 +31,57 @@ if TYPE_CHECKING:
 # Contents are copied several times on their way into a data set.
 _LARGEST_UNPACKED, _LARGEST_RATIO = 3 << 23, 4
 
+_PATIENCE = 30.0  # s, for reading a named pipe
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+
+
+@contextlib.contextmanager
+def locked(path: StrPath) -> Iterator[Path]:
+    """Lock a file, or a folder, that this run writes; remove what killed runs left of it.
+
+    The lock file ``.NAME.lock`` (``.lock`` in a folder) is removed at the end of the block.
+    The operating system unlocks the files of a process that is killed.  Blocks for the same
+    file may be nested in one thread.
+
+    Parameters
+    ----------
+    path : path-like
+        The file, which need not exist.  A symbolic link is followed.
+
+    Yields
+    ------
+    pathlib.Path
+        The file that the path leads to.
+
+    Raises
+    ------
+    FileError
+        If another run has locked the file, or it could not be written.
+    """
+    with _writing(path):
+        target = Path(os.path.realpath(path))
+        with contextlib.suppress(FileNotFoundError):
+            if stat.S_IFMT(target.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
+                raise OSError("it is a device or a pipe; give a file name")
+        if not target.parent.is_dir():
+            raise OSError(f"the folder {str(target.parent)!r} does not exist; create it first")
+        name = target / ".lock" if target.is_dir() else target.with_name(f".{target.name}.lock")
+        lock = filelock.FileLock(name, blocking=False, is_singleton=True)
+        lock.acquire()
+    outermost = lock.lock_counter == 1
+    try:
+        if outermost:
+            pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}{glob.escape(target.suffix)}"
+            for temporary in target.parent.glob(pattern):
+                with contextlib.suppress(OSError):
+                    temporary.unlink()
+        yield target
+    finally:
+        if outermost:  # before the release, so that it is no other run's
+            with contextlib.suppress(OSError):
+                name.unlink()
+        lock.release()
+
 
 @contextlib.contextmanager
 def atomic_write(path: StrPath) -> Iterator[Path]:
@@ -32,7 +89,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
     The temporary file replaces ``path`` when the block ends without an error; otherwise it
     is removed and ``path`` remains as it was.  A symbolic link is followed: the file that
-    it points to is replaced.
+    it points to is replaced.  The new file has the permissions of the old one.
 
     Parameters
     ----------
@@ -48,8 +105,8 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     Raises
     ------
     FileError
-        If the folder does not exist or cannot be written to, if ``path`` is a folder,
-        or if the disk is full.
+        If the folder does not exist or cannot be written to, if ``path`` is a folder or is
+        locked by another run, or if the disk is full.
 
     Examples
     --------
@@ -60,6 +117,8 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
         yield temporary
         with temporary.open("rb+") as handle:
             os.fsync(handle.fileno())
+        if target.exists():
+            shutil.copymode(target, temporary)
         temporary.replace(target)
 
 
@@ -104,7 +163,7 @@ def write_json(path: StrPath, data: Any, indent: int | None = 1) -> None:
 
 
 def write_csv(path: StrPath, table: pd.DataFrame, **options: Any) -> None:
-    """Write a table atomically, compressed if the file's ending says so.
+    """Write a table atomically, compressed if the file's ending says so; see :func:`plain_text`.
 
     Parameters
     ----------
@@ -121,7 +180,28 @@ def write_csv(path: StrPath, table: pd.DataFrame, **options: Any) -> None:
         If the file cannot be written, see :func:`atomic_write`.
     """
     with atomic_write(path) as temporary:
-        table.to_csv(temporary, **options)
+        plain_text(table).to_csv(temporary, **options)
+
+
+def plain_text(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table without text that a spreadsheet would take for a formula.
+
+    An apostrophe is put before text that begins with ``=``, ``+``, ``-`` or ``@``, also
+    behind apostrophes; :func:`without_apostrophe` removes it again.
+    """
+    texts = table.select_dtypes(exclude="number")
+    changed = {}
+    for name, column in texts.items():
+        found = {v: f"'{v}" for v in column.unique() if isinstance(v, str) and _FORMULA.match(v)}
+        if found:
+            changed[str(name)] = column.map(lambda value, found=found: found.get(value, value))
+    names = {n: f"'{n}" for n in table.columns if isinstance(n, str) and _FORMULA.match(n)}
+    return table.assign(**changed).rename(columns=names) if changed or names else table
+
+
+def without_apostrophe(text: str) -> str:
+    """Return the text that :func:`plain_text` put an apostrophe before; other text unchanged."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 def check_writable(path: StrPath, size: int = 0) -> None:
@@ -148,18 +228,6 @@ def check_writable(path: StrPath, size: int = 0) -> None:
             )
 
 
-def remove_leftovers(path: StrPath) -> None:
-    """Remove temporary files of a process that was killed while it wrote a file.
-
-    Use it only for files that no other process may be writing.
-    """
-    target = Path(path).resolve()
-    pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}{glob.escape(target.suffix)}"
-    for temporary in target.parent.glob(pattern):
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-
-
 def make_folder(folder: Path) -> None:
     """Create a folder and its parents where they are missing.
 
@@ -168,42 +236,53 @@ def make_folder(folder: Path) -> None:
     FileError
         If it cannot be created, or is a file.
     """
-    if folder.is_file():
-        raise FileError(f"{folder} is a file; give a folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise FileError(f"{folder} is a file; give a folder.") from error
     except OSError as error:
         raise FileError(f"Cannot create the folder {folder}: {error}.") from error
 
 
 @contextlib.contextmanager
 def _temporary_beside(path: StrPath) -> Iterator[tuple[Path, Path]]:
-    """Yield the file that a path leads to, and a new file beside it that is removed at the end.
+    """Lock a file; yield the file that the path leads to, and a new one beside it.
 
-    An ``OSError`` inside the block becomes a ``FileError`` that explains it.
+    The new file is removed at the end.
     """
-    target = Path(path).resolve()
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
-    try:
-        if not target.parent.is_dir():
-            raise OSError(f"the folder {str(target.parent)!r} does not exist; create it first")
+    with locked(path) as target, _writing(path):
         if target.is_dir():
             raise OSError("it is a folder; give a file name")
-        temporary.touch(exist_ok=False)  # with the usual permissions, unlike tempfile's
-        yield target, temporary
+        temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}{target.suffix}")
+        try:
+            # With the usual permissions, unlike tempfile's, or private until they are copied.
+            temporary.touch(0o600 if target.exists() else 0o666, exist_ok=False)
+            yield target, temporary
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+
+
+@contextlib.contextmanager
+def _writing(path: StrPath) -> Iterator[None]:
+    """Turn an ``OSError`` inside the block into a ``FileError`` that explains it."""
+    try:
+        yield
     except PCNDEError:  # which can be an OSError, too
         raise
+    except filelock.Timeout as error:
+        raise FileError(
+            f"{str(path)!r} is in use by another run: wait until that ends, or give another name"
+        ) from error
     except OSError as error:
         # h5py adds lines of addresses to the message.
         reason = os.strerror(error.errno) if error.errno else str(error)
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             reason = "the disk is full; free some space or choose another folder"
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            reason = f"no permission to write in {str(target.parent)!r}; choose another folder"
+            folder = str(Path(os.path.realpath(path)).parent)
+            reason = f"no permission to write in {folder!r}; choose another folder"
         raise FileError(f"cannot write {str(path)!r}: {reason}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
 
 
 @contextlib.contextmanager
@@ -225,20 +304,45 @@ def reading(path: StrPath, what: str) -> Iterator[None]:
     DataNotFoundError
         If there is no such file.
     FileError
-        If it is a folder, not permitted to be read, damaged or something else.
+        If it is a folder, a device or an empty pipe, not permitted to be read, in use by
+        another program, damaged or something else.
     """
     check_file(Path(path), what)
     try:
-        yield
+        with _written_pipe(Path(path)):
+            yield
     except PCNDEError:
         raise
     except PermissionError as error:
         raise FileError(f"No permission to read {path}.") from error
+    except BlockingIOError as error:
+        raise FileError(f"{path} is in use by another program: close it there.") from error
     except Exception as error:
         raise FileError(
             f"{path} is not {what}, or it is truncated or damaged ({error}). "
             "Check the file, or copy or create it again."
         ) from error
+
+
+@contextlib.contextmanager
+def _written_pipe(path: Path) -> Iterator[None]:
+    """Raise if a named pipe is not read in time; without a writer, opening it never ends."""
+    # The shell's own pipes, which always have a writer, have no name.
+    named = Path(os.path.realpath(path)).is_fifo()
+    if not named or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def give_up(*_: object) -> None:
+        raise FileError(f"{path} is a pipe to which no program writes; give a file.")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def check_file(path: Path, what: str) -> None:
@@ -249,12 +353,25 @@ def check_file(path: Path, what: str) -> None:
     DataNotFoundError
         If the path does not exist.
     FileError
-        If the path is a folder.
+        If the path is a folder or a device, or cannot be followed.
     """
-    if path.is_dir():
-        raise FileError(f"{path} is a folder, not {what}.")
-    if not path.exists():  # a pipe is no regular file
-        raise DataNotFoundError(f"There is no file {path}; check the path.")
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DataNotFoundError(f"There is no file {path}; check the path.") from error
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
+    for found, of_kind in (("folder", stat.S_ISDIR), ("device", stat.S_ISCHR)):
+        if of_kind(mode):
+            raise FileError(f"{path} is a {found}, not {what}.")
+
+
+def is_folder(path: StrPath) -> bool:
+    """Return whether a path leads to a folder; False if it cannot be followed."""
+    try:
+        return Path(path).is_dir()
+    except OSError:  # such as a name that is too long, before Python 3.14
+        return False
 
 
 def as_paths(paths: StrPath | Iterable[StrPath]) -> list[Path]:
@@ -312,7 +429,23 @@ def cache_folder(cache: StrPath | None) -> Path:
     """Return the given folder, else ``PCNDE_CACHE``, else the user's cache folder."""
     chosen = cache or os.environ.get("PCNDE_CACHE")
     if chosen:
-        return Path(chosen).expanduser()
+        return expanded(chosen)
     import pooch
 
     return Path(pooch.os_cache("pcnde_bridge"))
+
+
+def expanded(path: StrPath) -> Path:
+    """Return the path of a folder in the user's settings, with ``~`` replaced.
+
+    Raises
+    ------
+    FileError
+        If it cannot be followed, or begins with the name of an unknown user.
+    """
+    try:
+        found = Path(path).expanduser()
+        found.exists()  # such as a name that is too long
+    except (RuntimeError, OSError) as error:
+        raise FileError(f"The folder {path} cannot be used: {error}.") from error
+    return found

@@ -12,25 +12,54 @@ import os
 import platform
 import shutil
 import stat
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from multiprocessing import current_process
 from pathlib import Path
 from typing import Any
 
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge._utils.files import cache_folder
-from pcnde_bridge.errors import EngineError
+from pcnde_bridge.errors import EngineError, EngineUnavailableError
+
+
+def _jax_runs() -> bool:
+    """Return whether JAX has started the threads of a device, in this process or before a fork."""
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    return bridge is not None and bridge.backends_are_initialized()
+
+
+# This package may have been imported after the fork.
+_forked = _jax_runs() and type(current_process()).__name__ == "ForkProcess"
+
+
+def _after_fork() -> None:
+    global _forked
+    _forked = _jax_runs()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 _SHORTEST_COMPILATION = 0.1  # s; loading a function takes about 0.01 s
 _LARGEST_CACHE, _FREE_SPACE = 1 << 30, 1 << 29  # bytes
 
 
 @cache
-def _process() -> int:
-    """Return the identifier of the process in which JAX first computed."""
-    return os.getpid()
+def _start() -> None:
+    """Start JAX, once in each process."""
+    import jax
+
+    try:
+        jax.devices()
+    except Exception as error:  # of any kind, depending on the platform
+        raise EngineUnavailableError(
+            f"JAX has no device to compute on ({error}). Unset the environment variable "
+            f"JAX_PLATFORMS, which is {os.environ.get('JAX_PLATFORMS')!r}."
+        ) from error
 
 
 @cache
@@ -102,13 +131,16 @@ def double_precision() -> Iterator[None]:
     ------
     EngineError
         In a fork of a process in which JAX has computed: JAX would block there forever.
+    EngineUnavailableError
+        If JAX finds no device.
     """
-    if os.getpid() != _process():
+    if _forked:
         raise EngineError(
             "JAX does not survive a fork: start worker processes with the 'spawn' method "
-            '(multiprocessing.get_context("spawn")), as '
-            "pcnde_bridge._utils.parallel.processes does."
+            '(multiprocessing.get_context("spawn")), or use '
+            "pcnde_bridge._utils.parallel.processes."
         )
+    _start()
     import jax
 
     _store_compiled_functions()

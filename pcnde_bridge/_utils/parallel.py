@@ -21,26 +21,29 @@ On a cluster, with ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue``)
 
 A fit gives the same bits in every process in which XLA has the same number of threads: all
 cores that the process may use, or the environment variable ``NPROC``, or one in
-:func:`processes`.  Programs that start processes need ``if __name__ == "__main__":``.
+:func:`processes`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import multiprocessing
 import operator
 import os
 import re
+import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple, TypedDict, TypeVar
 
+import psutil
+
 from pcnde_bridge._typing import StrPath
+from pcnde_bridge._utils.files import locked
 from pcnde_bridge._utils.progress import TaskProgress
 from pcnde_bridge._utils.result_folder import ResultFolder
 from pcnde_bridge._utils.validation import whole
@@ -54,7 +57,7 @@ class _Processes(NamedTuple):
     """Processes of :func:`processes`, one pool each: one that dies interrupts only its task."""
 
     workers: int
-    pool: Callable[[], Executor]
+    pool: Callable[[], Any]
 
 
 Workers = Executor | _Processes
@@ -125,14 +128,22 @@ def processes(workers: int) -> _Processes:
         If ``workers`` is not a whole number ≥ 1.
     """
     workers = whole("workers", workers, 1)
-    spawn = multiprocessing.get_context("spawn")  # JAX and Julia do not survive a fork
-    pool = partial(futures.ProcessPoolExecutor, 1, spawn, _use_one_thread)
-    return _Processes(workers, pool)
+    import loky
+
+    # Not forked, as JAX and Julia do not survive that; and the user's program is not run again.
+    pool = partial(loky.ProcessPoolExecutor, 1, env={"NPROC": "1"}, initializer=_watch_parent)
+    return _Processes(workers, partial(pool, initargs=(os.getpid(),)))
 
 
-def _use_one_thread() -> None:
-    """Set the number of threads of XLA, which has not started yet in a new process."""
-    os.environ["NPROC"] = "1"
+def _watch_parent(parent: int) -> None:
+    """End this worker process when its parent ends; it would wait for tasks forever."""
+
+    def watch() -> None:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            psutil.Process(parent).wait()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run(
@@ -206,7 +217,8 @@ def run(
     silent = contextlib.nullcontext(lambda name, failure: None)
     shown = TaskProgress(len(tasks), len(results)) if progress else silent
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
-    with contextlib.closing(finished), shown as bar:
+    folder_lock = contextlib.nullcontext() if folder is None else locked(folder)
+    with folder_lock, contextlib.closing(finished), shown as bar:
         for name, result, failure in finished:
             if failure is not None:
                 failures[name] = failure
@@ -282,14 +294,16 @@ def _finished(
     finally:
         for future in running:
             future.cancel()
-        if create:
-            _close(free, [pool for _, pool in running.values()])
+        if create:  # busy processes would run on, and the interpreter would wait for them
+            pools: list[Any] = [*free, *(pool for _, pool in running.values())]
+            for pool in pools:
+                pool.shutdown(kill_workers=True)
 
 
 def _pools(executor: Workers | None, most: int) -> list[Executor | None]:
     """Return one entry for each task that may run at the same time: its pool, or None."""
     if isinstance(executor, _Processes):
-        return [executor.pool() for _ in range(executor.workers)]
+        return [executor.pool() for _ in range(min(executor.workers, most))]
     # Pools know their size; dask has none, and its scheduler has a queue of its own.
     return [executor] * (getattr(executor, "_max_workers", most) if executor else 1)
 
@@ -304,17 +318,3 @@ def _submit(pool: Executor | None, function: Callable[[Any], Any], task: Any) ->
     except Exception as error:
         future.set_exception(error)
     return future
-
-
-def _close(idle: Iterable[Any], busy: Iterable[Any]) -> None:
-    """Shut pools down, and end the processes of the busy ones.
-
-    Their tasks would run on otherwise, and the interpreter would wait for them on exit.
-    """
-    for pool in busy:
-        workers = list((getattr(pool, "_processes", None) or {}).values())
-        pool.shutdown(wait=False)
-        for worker in workers:
-            worker.terminate()
-    for pool in idle:
-        pool.shutdown()

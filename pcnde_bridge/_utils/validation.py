@@ -11,11 +11,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import psutil
 
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.errors import InputError
 
 _T = TypeVar("_T")
+_FEW = 1 << 24  # numbers that every machine has memory for
 
 
 def whole(name: str, value: Any, least: int = 0) -> int:
@@ -51,6 +53,33 @@ def positive(name: str, value: Any, unit: str = "") -> float:
         If it is not a real number, not finite, or not positive.
     """
     return _real(name, value, unit, "positive and finite", 0.0)
+
+
+def check_memory(what: str, numbers: int, advice: str) -> None:
+    """Raise if so many numbers do not fit into the free memory.
+
+    Parameters
+    ----------
+    what : str
+        What needs them, for the message.
+    numbers : int
+        Numbers of eight bytes.
+    advice : str
+        How to need fewer.
+
+    Raises
+    ------
+    InputError
+        If they need more memory than is free.
+    """
+    if numbers < _FEW:
+        return
+    free = psutil.virtual_memory().available
+    if 8 * numbers > free:
+        raise InputError(
+            f"{what} would need {8 * numbers / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
+            f"free: {advice}."
+        )
 
 
 def check_fields(instance: object, check: Callable[..., Any], **arguments: Any) -> None:

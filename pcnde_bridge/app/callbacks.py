@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -21,6 +22,8 @@ from typing import Any
 from dash import ClientsideFunction, Dash, Input, Output, State, ctx, html, no_update, set_props
 from dash.exceptions import PreventUpdate
 
+from pcnde_bridge._utils.archive import interpreting
+from pcnde_bridge._utils.validation import finite
 from pcnde_bridge.app import page
 from pcnde_bridge.app.explorer import Explorer
 from pcnde_bridge.app.inputs import Inputs, read_waveform
@@ -34,11 +37,19 @@ _CONTROLS = {name: (name, "value") for name in _NUMBERS} | {"uploaded": ("wavefo
 
 _COLUMNS = ("along", "over")
 
+_log = logging.getLogger("pcnde_bridge")
+
 
 def connect(app: Dash, explorer: Explorer) -> None:
     """Register the callbacks of a page with this explorer."""
     for part in (_connect_drawing, _connect_comparison, _connect_upload, _connect_download):
         part(app, explorer)
+
+
+def report(error: Exception) -> None:
+    """Show an error that no message was written for on the page, and its traceback here."""
+    _log.error("A callback of the page failed.", exc_info=error)
+    set_props("message", {"children": f"Unexpected error, see the terminal: {error!r}"})
 
 
 def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
@@ -48,15 +59,24 @@ def _inputs(explorer: Explorer, values: dict[str, Any]) -> Inputs:
     ------
     PreventUpdate
         While a number is being typed.
-    InputError
+    PCNDEError
         If a value is invalid.
     """
-    numbers = {name: values[name] for name in _NUMBERS}
-    if any(value is None for value in numbers.values()):
+    if any(values[name] is None for name in _NUMBERS):
         raise PreventUpdate
+    numbers = {name: finite(name, values[name]) for name in _NUMBERS}
     numbers["blockage"] /= 100
+    for name, value in numbers.items():
+        span = getattr(explorer.choices, name)
+        if not span.minimum <= round(value, 6) <= span.maximum:
+            raise InputError(f"{name} is outside its control: move the control.")
+    waveform = None
     uploaded = values.get("uploaded")  # browsers omit values that are not set
-    waveform = None if uploaded is None else Waveform(**uploaded)
+    if uploaded is not None:
+        with interpreting("The upload", "waveform"):
+            waveform = Waveform(**uploaded)
+        if waveform.n_terms > explorer.model.grid.time.size:
+            raise InputError("The waveform has more harmonics than the model has time points.")
     return explorer.choices.inputs(**numbers, waveform=waveform)
 
 

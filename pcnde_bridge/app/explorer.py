@@ -10,6 +10,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.files import plain_text
 from pcnde_bridge.app.inputs import Choices, Inputs
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
@@ -170,7 +171,7 @@ class Explorer:
 
     def csv(self, inputs: Inputs) -> str:
         """Return the prediction as ``pcnde predict --samples`` writes it, in CGS units."""
-        return self._predict(inputs, self.samples).to_frame().to_csv(index=False)
+        return plain_text(self._predict(inputs, self.samples).to_frame()).to_csv(index=False)
 
     def curves(self, inputs: Inputs, column: str, index: int) -> dict[str, Panel]:
         """Return the curves of one column of the page.

@@ -23,6 +23,7 @@ from pcnde_bridge.model.pcnde import PCNDE
 _EXTENSION = 0.25  # of a control on either side, relative to the training range
 _SHORTEST, _LONGEST = 0.2, 1.0  # stenosis, cm; the 1D solver's grid resolves 0.16 cm
 _MARGIN = 0.1  # between a stenosis and the ends of the vessel, cm
+_MOST_COLUMNS = 200  # of an uploaded table; reading a very wide one takes long
 _HEALTHY = 0.01  # blockage below which a vessel has no stenosis
 
 
@@ -173,6 +174,9 @@ def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, st
         If it is not such a table, or the model is bound to another period.
     """
     grid = model.grid
+    widest = max((line.count(b",") for line in content.splitlines()), default=0)
+    if widest >= _MOST_COLUMNS:
+        raise InputError(f"{name} has {widest + 1} columns: keep {_MOST_COLUMNS} at most.")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "upload.csv")
         path.write_bytes(content)

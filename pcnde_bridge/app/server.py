@@ -52,6 +52,7 @@ def make_app(model: PCNDE, name: str) -> Dash:
         serve_locally=True,
         title=f"PCNDE – {name}",
         update_title="",
+        on_error=callbacks.report,
     )
     app.index_string = app.index_string.replace("<html>", '<html lang="en">')
     app.layout = page.layout(explorer, name)

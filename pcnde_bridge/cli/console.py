@@ -6,7 +6,9 @@ such as ``model[fast].npz``.
 
 from __future__ import annotations
 
+import logging
 import math
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,12 +17,23 @@ from typing import TYPE_CHECKING, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _PLAIN: dict[str, Any] = dict.fromkeys(("markup", "emoji", "highlight"), False)
-_out, _notes = (Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (False, True))
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class _Console(Console):
+    """Console without control characters, with which text of a file could change the terminal."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(_CONTROL.sub("", text), **options)
+
+
+_out, _notes = (_Console(stderr=stderr, soft_wrap=True, **_PLAIN) for stderr in (False, True))
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -42,6 +55,14 @@ def say(text: str, *, style: str | None = None, end: str = "\n") -> None:
 def note(text: str, *, style: str | None = None, end: str = "\n") -> None:
     """Print progress, a warning or an error."""
     _notes.print(text, style=style, end=end)
+
+
+class Notes(logging.Handler):
+    """Handler that prints messages of loggers as notes."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a message."""
+        note(self.format(record))
 
 
 def show(table: Table) -> None:

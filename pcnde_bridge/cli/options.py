@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from pcnde_bridge._utils.files import check_writable, read_json
+from pcnde_bridge._utils.files import check_writable, locked, make_folder, read_json
 from pcnde_bridge.cli.console import note
 from pcnde_bridge.config import PRESETS, Config, resolve_config
 from pcnde_bridge.errors import InputError
 
 if TYPE_CHECKING:
     from pcnde_bridge.data.cases import Cases, Split
+
+locks = contextlib.ExitStack()
+"""Locks of the files that a command writes; released when it ends."""
 
 
 def option(default: Any, help: str, *names: str, **settings: Any) -> Any:
@@ -94,13 +98,23 @@ def _number(text: str) -> float | str:
 
 
 def check_outputs(*paths: Path | None, size: int = 0, inputs: Sequence[Path] = ()) -> None:
-    """Raise before any work if a file cannot be written or would replace another one."""
-    known = {path.resolve() for path in inputs}
+    """Lock the files that a command writes.
+
+    It raises before any work if a file cannot be written or would replace another one.
+    """
+    known = {os.path.realpath(path) for path in inputs}
     for path in filter(None, paths):
-        if path.resolve() in known:
+        if (real := os.path.realpath(path)) in known:
             raise InputError(f"{path} is named twice: it would be overwritten.")
-        known.add(path.resolve())
+        known.add(real)
+        locks.enter_context(locked(path))
         check_writable(path, size)
+
+
+def lock_folder(folder: Path) -> None:
+    """Create the folder that a command writes, and lock it."""
+    make_folder(folder)
+    locks.enter_context(locked(folder))
 
 
 def name_pairs(text: str | None, option: str) -> dict[str, str] | None:

@@ -13,7 +13,7 @@ from rich.table import Table
 from pcnde_bridge._utils.files import write_csv, write_json
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, say, show, show_numbers
-from pcnde_bridge.cli.options import check_outputs, option, split_of, units_of
+from pcnde_bridge.cli.options import check_outputs, lock_folder, option, split_of, units_of
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
 
@@ -181,6 +181,7 @@ def figures(
     from pcnde_bridge.plots.figures import COSTS, FigureData, choose, make_figures
 
     choose(only)
+    lock_folder(out)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, data, split)
     truth_label = {"synthetic": "1D solver", "published": "3D, averaged"}.get(data, "truth")

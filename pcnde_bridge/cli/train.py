@@ -7,10 +7,17 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcnde_bridge._utils.files import write_csv
+from pcnde_bridge._utils.files import locked, write_csv
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, resumable, say, show_numbers
-from pcnde_bridge.cli.options import check_outputs, option, settings_of, split_name, split_of
+from pcnde_bridge.cli.options import (
+    check_outputs,
+    lock_folder,
+    option,
+    settings_of,
+    split_name,
+    split_of,
+)
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError, TaskError
 
@@ -175,6 +182,7 @@ def demo(
 
     from pcnde_bridge.cli.demo import NEXT_STEPS, run_demo
 
+    lock_folder(out)
     with resumable(f"The state of training is in {out}"):
         result = run_demo(out, seed, engine)
     methods = result.errors.items()
@@ -189,12 +197,13 @@ def _training_state(checkpoint: Path | None, default: Path) -> Iterator[Path]:
     from pcnde_bridge.training import checkpoint as checkpoints
 
     state = checkpoint or default
-    if state.exists():
-        note(f"Continuing from {state}.")
-    with resumable(f"The state of training is in {state}"):
-        yield state
-    if checkpoint is None:
-        checkpoints.remove(state)
+    with locked(state):
+        if state.exists():
+            note(f"Continuing from {state}.")
+        with resumable(f"The state of training is in {state}"):
+            yield state
+        if checkpoint is None:
+            checkpoints.remove(state)
 
 
 def _show_rows(rows: list[Row]) -> None:

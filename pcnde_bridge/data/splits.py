@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from numbers import Real
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,9 +59,10 @@ def split_positions(
         return _named_split(labels, how, "the split")
     if not isinstance(how, str | os.PathLike):
         raise InputError(f"how must be {_WAYS}, got {how!r}")
-    if not Path(how).exists():
-        raise DataNotFoundError(f"there is no split file {str(how)!r}; give {_WAYS}")
-    mapping = read_json(how, 'pairs, {"train": [...], "test": [...]}')
+    try:
+        mapping = read_json(how, 'pairs, {"train": [...], "test": [...]}')
+    except DataNotFoundError as error:
+        raise DataNotFoundError(f"there is no split file {str(how)!r}; give {_WAYS}") from error
     return _named_split(labels, mapping, repr(str(how)))
 
 

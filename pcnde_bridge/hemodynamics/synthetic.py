@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.files import cache_folder, make_folder
-from pcnde_bridge._utils.validation import finite_vector, whole
+from pcnde_bridge._utils.validation import check_memory, counted, finite_vector, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import FileError, InputError
@@ -115,6 +115,8 @@ def synthetic(
     if not places and n_geometries > 1:
         raise InputError("Without a stenosis all geometries are the same; use n_geometries=1.")
     solver = Tube1D() if tube is None else tube
+    count = n_geometries * n_waveforms
+    check_memory(counted(count, "case"), 9 * count * solver.n_times * n_points, "compute fewer")
     blockages = np.linspace(*BLOCKAGES, n_geometries).round(12).tolist()
     vessels = [Vessel(tuple(Stenosis(beta, place) for place in places)) for beta in blockages]
     factors = _factors(n_waveforms)

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.files import cache_folder
+from pcnde_bridge._utils.files import cache_folder, check_file, expanded, is_folder
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.published import read_authors_folder
@@ -20,6 +20,7 @@ PUBLISHED_COMMIT = "6ec3ff924ff531207a54d4e54529760f36769616"
 PUBLISHED_URL = f"https://raw.githubusercontent.com/amir-cardiolab/PCNDE/{PUBLISHED_COMMIT}/"
 
 _FOLDER = f"csala2024-{PUBLISHED_COMMIT[:7]}"
+_STALLED = 20.0  # s without a byte after which a download is repeated
 
 
 def find_published() -> Path | None:
@@ -42,9 +43,9 @@ def find_published() -> Path | None:
     """
     named = os.environ.get("PCNDE_DATA")
     if named:
-        folder = Path(named).expanduser()
-        if not (folder / "data_3D").is_dir():
-            why = "contains no folder data_3D" if folder.is_dir() else "does not exist"
+        folder = expanded(named)
+        if not is_folder(folder / "data_3D"):
+            why = "contains no folder data_3D" if is_folder(folder) else "does not exist"
             raise DataNotFoundError(
                 f"PCNDE_DATA is {named!r}, which {why}; give the folder of data_3D"
             )
@@ -104,13 +105,14 @@ def download_published(
     # Only the data set has another place in the authors' repository than in the cache.
     urls = {name: base + "data/" * name.startswith("data_3D/") + name for name in checksums}
     fetcher = pooch.create(folder, base, registry=checksums, urls=urls, retry_if_failed=retries)
+    downloader = pooch.HTTPDownloader(timeout=_STALLED)
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("ERROR")  # by default it prints one line for each file
     names = track(checksums, "Downloading", console=Console(stderr=True), disable=not progress)
     try:
         for name in names:
-            fetcher.fetch(name)
+            fetcher.fetch(name, downloader=downloader)
     except (requests.exceptions.RequestException, ValueError) as error:
         is_network = isinstance(error, requests.exceptions.RequestException)
         why = error if is_network else "it is not the published file: its checksum differs"
@@ -121,6 +123,9 @@ def download_published(
             "connection and set PCNDE_DATA to its folder 'data', which contains data_3D"
         ) from error
     except OSError as error:
+        if not error.errno:  # requests found no certificates
+            advice = "correct REQUESTS_CA_BUNDLE or CURL_CA_BUNDLE, or unset it"
+            raise DataNotFoundError(f"{error}; {advice}") from error
         advice = "free space, or set PCNDE_CACHE to another folder"
         raise FileError(f"cannot write to the cache: {error}; {advice}") from error
     finally:
@@ -162,13 +167,14 @@ def load_cases(data: StrPath | Cases) -> Cases:
         from pcnde_bridge.hemodynamics.synthetic import synthetic
 
         return synthetic()
-    path = Path(data)
-    if path.is_dir():
-        return read_authors_folder(path)
-    if path.is_file():
-        return Cases.load(path)
-    what = f"neither a file or folder nor the name of a data set: {listed([*map(repr, DATASETS)])}"
-    raise DataNotFoundError(f"{str(data)!r} is {what}")
+    if is_folder(data):
+        return read_authors_folder(data)
+    try:
+        check_file(Path(data), "a data set")
+    except DataNotFoundError as error:
+        what = f"neither a file or folder nor a data set's name: {listed([*map(repr, DATASETS)])}"
+        raise DataNotFoundError(f"{str(data)!r} is {what}") from error
+    return Cases.load(data)
 
 
 DATASETS = "published", "synthetic"

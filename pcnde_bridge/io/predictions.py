@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pcnde_bridge._typing import StrPath
-from pcnde_bridge._utils.files import atomic_write
+from pcnde_bridge._utils.files import atomic_write, is_folder, plain_text
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.errors import FileError, InputError
@@ -40,7 +40,8 @@ def save_csv(parts: Iterable[VesselQuantities], path: StrPath) -> int:
     count = 0
     with atomic_write(path) as temporary:  # its ending also selects the compression
         for part in parts:
-            part.to_frame().to_csv(temporary, index=False, header=count == 0, mode="a")
+            table = plain_text(part.to_frame())
+            table.to_csv(temporary, index=False, header=count == 0, mode="a")
             count += len(part)
     return count
 
@@ -73,7 +74,7 @@ def check_target(path: StrPath, has_pressure: bool) -> str:
     suffix = ".csv" if target.name.lower().endswith(".csv.gz") else target.suffix.lower()
     if suffix not in (".csv", *_DATA_SETS, *CENTERLINES):
         raise FileError(f"Cannot write {target}: it must end in .csv, .npz, .h5, .vtp or .pvd.")
-    if target.is_dir() or not target.parent.is_dir():
+    if is_folder(target) or not is_folder(target.parent):
         raise FileError(f"Cannot write {target}: give a file in an existing folder.")
     if suffix in _DATA_SETS and not has_pressure:
         raise InputError("The model has no pressure stages, so no data sets: use .csv or .vtp.")

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.files import Budget, reading
+from pcnde_bridge._utils.files import Budget, check_file, reading, without_apostrophe
 from pcnde_bridge.errors import FileError, InputError
 
 # Before version 3.1 pandas rounds one number in six to a neighbor by default; from then on the
@@ -91,9 +91,10 @@ def first_line(path: StrPath) -> str:
     FileError
         If the file cannot be read.
     """
+    check_file(Path(path), _TABLE)
+    if not Path(path).is_file():
+        return ""
     with reading(path, _TABLE):
-        if not Path(path).is_file():
-            return ""
         with _opened(Path(path)) as text:
             head = text.read(1 << 20).splitlines()  # a damaged file may be a single line
         return next((line for line in head if line.strip() and line[0] != "#"), "")
@@ -172,6 +173,7 @@ def read_labeled(
     tables: list[tuple[Path, pd.DataFrame]] = []
     texts: dict[str, set[str]] = {}
     for path in paths:
+        check_file(path, _TABLE)
         if path.is_fifo():
             raise FileError(f"{path} is a pipe, but this table is read twice: save it as a file.")
         header = [str(name) for name in read_frame(path, nrows=0, **options)]
@@ -187,11 +189,13 @@ def read_labeled(
             texts.setdefault(name, set()).update(frame[name].unique())
         tables.append((path, frame))
     for name, found in texts.items():
-        values = _label_values(found - {""})
+        plain = {text: without_apostrophe(text) for text in found - {""}}
+        values = _label_values(set(plain.values()))
         for _, frame in tables:
             if name in frame:
-                frame[name] = frame[name].map(values).infer_objects()
-    return tables
+                labels = frame[name].map({text: values[label] for text, label in plain.items()})
+                frame[name] = labels.infer_objects()
+    return [(path, frame.rename(columns=without_apostrophe)) for path, frame in tables]
 
 
 def _label_values(texts: Collection[str]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -47,6 +48,8 @@ def describe(path: StrPath) -> dict[str, Any]:
     FileError
         If the file is none of these, or damaged.
     """
+    if Path(path).suffix.lower() in (".h5", ".hdf5"):
+        return _data_set(Cases.load(path))
     file_format = _FORMATS.get(archive_kind(path) or "")
     if file_format is None:
         with contextlib.suppress(PCNDEError):

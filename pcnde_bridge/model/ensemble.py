@@ -84,6 +84,7 @@ class Ensemble(Predictor):
         first = self.members[0]
         self.config, self.grid, self.engine = first.config, first.grid, first.engine
         self.novelty = first.novelty  # all members have the same training cases
+        self._copies = 1 + 3 * len(self.members)
 
     @classmethod
     def fit(

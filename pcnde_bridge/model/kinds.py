@@ -20,6 +20,7 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import ModelInputs, Solution
+from pcnde_bridge.errors import SolveError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.procedure import Procedure
@@ -92,7 +93,19 @@ def _predict_staged(
     engine: Engine, config: Any, parameters: Any, inputs: Inputs, _: Uncertainty | None = None
 ) -> tuple[Solution, None]:
     given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)
-    return engine.predict(parameters, given, config), None
+    solution = engine.predict(parameters, given, config)
+    for name, values in solution._asdict().items():
+        if values is None:
+            continue
+        with np.errstate(all="ignore"):
+            finite = np.isfinite(values.sum(axis=(1, 2)))  # faster than all values by themselves
+        if not finite.all():
+            raise SolveError(
+                f"The predicted {name} of case {np.argmin(finite)} is not finite "
+                f"({np.count_nonzero(~finite)} of {len(finite)} cases). Check the units of inflow "
+                "and area (mL/s, cm²); the model may not extrapolate so far."
+            )
+    return solution, None
 
 
 def _predict_closures(

@@ -14,7 +14,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import check_memory, counted, whole
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
@@ -59,6 +59,7 @@ class Predictor(ABC):
     uncertainty: Uncertainty | None = None
     file_format: ClassVar[tuple[str, int, str]]
     _batch: ClassVar[int] = 256
+    _copies = 1  # predictions that are in memory at the same time, without samples
 
     @property
     @abstractmethod
@@ -132,7 +133,7 @@ class Predictor(ABC):
             If the equations diverge for an input.
         """
         given = inflow, area_undeformed, z, period, units
-        return self._solve(self._prepare(samples, seed, *given))
+        return self._solve(self._prepare(None, samples, seed, *given))
 
     def predict_batches(
         self,
@@ -186,7 +187,7 @@ class Predictor(ABC):
         """
         size = self._batch if batch is None else whole("batch", batch, 1)
         given = inflow, area_undeformed, z, period, units
-        return self._each_batch(self._prepare(samples, seed, *given), size)
+        return self._each_batch(self._prepare(size, samples, seed, *given), size)
 
     def _each_batch(self, inputs: Inputs, size: int) -> Iterator[Prediction]:
         for start in range(0, len(inputs), size):
@@ -195,11 +196,12 @@ class Predictor(ABC):
             except SolveError as error:
                 raise SolveError(f"In the batch that starts at case {start}: {error}") from error
 
-    def _prepare(self, samples: int, seed: int, *given: Any) -> Inputs:
+    def _prepare(self, batch: int | None, samples: int, seed: int, *given: Any) -> Inputs:
         """Check the inputs, score their distance from the training data, generate random numbers.
 
-        ``given`` are inflow, area_undeformed, z, period and units of :meth:`predict`.  The
-        warning of extrapolation is attributed to the caller of the calling method.
+        At most ``batch`` cases are predicted at once, None for all.  ``given`` are inflow,
+        area_undeformed, z, period and units of :meth:`predict`.  The warning of extrapolation
+        is attributed to the caller of the calling method.
         """
         inflow, *others = given
         if isinstance(inflow, Cases):
@@ -209,6 +211,11 @@ class Predictor(ABC):
             inputs = Inputs.from_cases(inflow)
         else:
             inputs = inputs_from_arrays(self.grid, self.any_grid, *given)
+        samples, at_once = whole("samples", samples), min(batch or len(inputs), len(inputs))
+        fields = 3 * at_once * inputs.grid.time.size * inputs.grid.z.size
+        numbers = (self._copies + samples) * fields + 8 * samples * len(inputs)
+        what = f"A prediction of {counted(at_once, 'case')} with {counted(samples, 'sample')}"
+        check_memory(what, numbers, "request fewer samples, or use predict_batches or less cases")
         random = self._random_numbers(samples, seed, len(inputs))
         scores = self.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
         novelty = np.max(list(scores.values()), axis=0) if scores else None
@@ -234,7 +241,7 @@ class Predictor(ABC):
 
     def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
         """Return the random numbers of the samples of ``count`` cases."""
-        samples, seed = whole("samples", samples), whole("seed", seed)
+        seed = whole("seed", seed)
         if samples == 0:
             return None
         if samples == 1:

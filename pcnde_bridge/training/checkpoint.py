@@ -10,7 +10,7 @@ from typing import Generic
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
-from pcnde_bridge._utils.files import atomic_write, check_writable, remove_leftovers
+from pcnde_bridge._utils.files import atomic_write, check_writable
 from pcnde_bridge.config import config_from
 from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.training import history as histories
@@ -59,13 +59,12 @@ class Checkpoint(Generic[State]):
         FileError
             If there is no folder, no permission, or not enough space.
         """
-        for path in (self.path, previous(self.path)):
-            remove_leftovers(path)
         # Parameters are stored once more after each coupling.
         steps, (_, arrays) = self._procedure.steps(first), self._procedure.to_archive(first)
         copies = 1 + sum(step.task == "coupling" for step in steps)
         numbers = 10 * self._procedure.count_iterations(first)  # six numbers and a text each
         numbers += copies * sum(array.size for array in arrays.values())
+        check_writable(previous(self.path))
         # Two files are there while a third is written.
         check_writable(self.path, 3 * 8 * numbers + _OVERHEAD)
 

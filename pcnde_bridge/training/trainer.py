@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from typing import Generic, NamedTuple
 
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils import interrupts
+from pcnde_bridge._utils.files import locked
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
@@ -99,8 +100,12 @@ class Trainer(Generic[State]):
         self._callbacks = Session(on_iteration, on_fit_end)
 
     def fit(self, seed: int, progress: bool | OnIteration = True) -> State:
-        """Run all steps, from the start or from the checkpoint; see :meth:`complete`."""
-        return self.complete(self.start(seed), progress)
+        """Run all steps, from the start or from the checkpoint; see :meth:`complete`.
+
+        No other run may use the checkpoint at the same time.
+        """
+        with nullcontext() if self._checkpoint is None else locked(self._checkpoint.path):
+            return self.complete(self.start(seed), progress)
 
     def complete(self, state: State, progress: bool | OnIteration = True) -> State:
         """Run all steps that are not finished, in a session of their own.

@@ -6,13 +6,17 @@ import errno
 import os
 import stat
 
+import pandas as pd
 import pytest
 
 from pcnde_bridge._utils.files import (
     Budget,
     atomic_write,
     check_file,
+    locked,
+    plain_text,
     reading,
+    without_apostrophe,
     write_json,
 )
 from pcnde_bridge.errors import DataNotFoundError, FileError
@@ -51,6 +55,79 @@ def test_the_file_gets_the_usual_permissions(tmp_path):
     with atomic_write(written):
         pass
     assert stat.S_IMODE(written.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX permissions")
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o444, 0o664])
+def test_an_overwritten_file_keeps_its_permissions(tmp_path, mode):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(mode)
+    with atomic_write(path) as temporary:
+        assert stat.S_IMODE(temporary.stat().st_mode) == 0o600
+        temporary.write_text("new")
+    assert (path.read_text(), stat.S_IMODE(path.stat().st_mode)) == ("new", mode)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX permissions")
+def test_a_new_file_follows_the_umask(tmp_path):
+    before = os.umask(0o027)
+    try:
+        with atomic_write(tmp_path / "a"):
+            pass
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+
+
+def test_a_lock_may_be_nested_and_leaves_nothing(tmp_path):
+    for path in (tmp_path / "a.txt", tmp_path):
+        with locked(path), locked(path):
+            with locked(path):
+                assert any(name.endswith(".lock") for name in names(tmp_path))
+            assert any(name.endswith(".lock") for name in names(tmp_path))
+        assert names(tmp_path) == []
+
+
+def test_temporary_files_of_killed_runs_are_removed(tmp_path):
+    for name in (".a.txt.0123abcd.txt", ".a.txt.0123abcx.txt", ".b.txt.0123abcd.txt"):
+        (tmp_path / name).touch()
+    with atomic_write(tmp_path / "a.txt"):
+        pass
+    assert names(tmp_path) == [".a.txt.0123abcx.txt", ".b.txt.0123abcd.txt", "a.txt"]
+
+
+def test_text_is_no_formula_in_a_spreadsheet():
+    texts = ["=1+1", "+1", "-1", "@a", "'=1", "''-", "'", "a=1", "", "\t=1"]
+    table = pd.DataFrame({"=name": texts, "number": range(-5, 5), "z": [1, *texts[1:]]})
+    plain = plain_text(table)
+    written = ["'=1+1", "'+1", "'-1", "'@a", "''=1", "'''-", "'", "a=1", "", "'\t=1"]
+    assert plain["'=name"].tolist() == written
+    assert plain["number"].tolist() == list(range(-5, 5))
+    assert plain["z"].tolist() == [1, *written[1:]]
+    assert [without_apostrophe(text) for text in written] == texts
+    table = pd.DataFrame({"a": ["b"], "c": [-1.0]})
+    assert plain_text(table) is table
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_without_a_writer_does_not_block(tmp_path, monkeypatch):
+    monkeypatch.setattr("pcnde_bridge._utils.files._PATIENCE", 0.05)
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    message = "is a pipe to which no program writes"
+    with pytest.raises(FileError, match=message), reading(path, "a thing"):
+        path.read_text()
+    with pytest.raises(FileError, match="it is a device or a pipe"), atomic_write(path):
+        pass
+    assert path.is_fifo()
+
+
+def test_a_file_that_is_locked_by_another_program(tmp_path):
+    path = tmp_path / "a.h5"
+    path.touch()
+    with pytest.raises(FileError, match="is in use by another program"), reading(path, "a file"):
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="symbolic links need rights there")

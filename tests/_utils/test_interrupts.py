@@ -2,7 +2,9 @@
 library makes another error of it.
 """
 
+import os
 import signal
+import subprocess
 import sys
 import threading
 
@@ -12,7 +14,7 @@ from pcnde_bridge import PCNDE, PCNDEConfig
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge._utils import jax_context as precision
 from pcnde_bridge._utils.jax_context import double_precision
-from pcnde_bridge.errors import EngineError
+from pcnde_bridge.errors import EngineUnavailableError
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
@@ -186,9 +188,55 @@ def test_ctrl_c_waits_while_a_library_loads():
     assert steps == ["loaded"]
 
 
-def test_a_fork_of_jax_is_refused(monkeypatch):
-    with precision.double_precision():
-        pass
-    monkeypatch.setattr(precision, "_process", lambda: -1)
-    with pytest.raises(EngineError, match="spawn"), precision.double_precision():
+FORKS = {
+    "after JAX": ("import pcnde_bridge; jax.devices()", True),
+    "before JAX": ("import pcnde_bridge", False),
+    "before the import": ("jax.devices()", True),
+}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+@pytest.mark.parametrize("name", FORKS)
+def test_a_fork_of_the_users_jax_is_refused(name):
+    start, refused = FORKS[name]
+    code = f"""
+import multiprocessing, jax
+{start}
+
+def work(_):
+    import jax.numpy as jnp
+    from pcnde_bridge import EngineError
+    from pcnde_bridge._utils.jax_context import double_precision
+    try:
+        with double_precision():
+            return float(jnp.ones(3).sum())
+    except EngineError as error:
+        return str(error)
+
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    print(pool.map_async(work, [0]).get(60)[0])
+"""
+    found = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+    assert ("JAX does not survive a fork" in found.stdout) == refused
+    assert refused or found.stdout == "3.0\n"
+
+
+def test_a_platform_that_is_not_there(monkeypatch):
+    def fail():
+        raise RuntimeError("Unable to initialize backend 'cuda'")
+
+    monkeypatch.setattr("jax.devices", fail)
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    precision._start.cache_clear()
+    with (
+        pytest.raises(EngineUnavailableError, match=r"no device.*JAX_PLATFORMS, which is 'cuda'"),
+        precision.double_precision(),
+    ):
         pass

@@ -255,6 +255,7 @@ def test_uploads_are_read_as_on_the_command_line(model, bound):
         (b"time,flow\n0,1\n0.1,inf\n0.2,1\n", r"bad.csv: flow\[1\] is inf"),
         (b"time,flow\n0,1\n0.1,2\n0.3,3\n", "bad.csv, line 3: the time points are not equally"),
         (b"time,flow\n0,1\n0.1,2\n", "bad.csv: A waveform needs at least 3 samples"),
+        (b"time" + b",a" * 40_000 + b"\n0" + b",1" * 40_000, "has 40001 columns: keep 200 at"),
     ],
 )
 def test_invalid_uploads_are_reported(model, content, message):
@@ -337,6 +338,25 @@ def test_unexpected_requests_get_an_empty_response(client, changes):
     assert ask(client).status_code == 200
     response = ask(client, **changes)
     assert (response.status_code, response.data) == (204, b"")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"blockage": 95}, "blockage is outside its control"),
+        ({"blockage": "abc"}, "blockage must be a number"),
+        ({"scale": 1e300}, "scale is outside its control"),
+        ({"position": -1}, "position is outside its control"),
+        ({"waveform": {"mean": "x"}}, "Waveform.mean must be a number"),
+        ({"waveform": {"color": 1}}, "is not a complete waveform"),
+        ({"waveform": {"mean": 1, "cosine": [0] * 50, "sine": [0] * 50}}, "more harmonics than"),
+        ({"shown": 3}, "Unexpected error, see the terminal: TypeError"),
+    ],
+)
+def test_a_bad_value_has_a_message(client, explorer, changes, message):
+    response = ask(client, **{"length": explorer.choices.length.start, **changes})
+    assert response.status_code == 200
+    assert message in response.text
 
 
 def test_page_loads_no_files_from_other_hosts(client):
@@ -439,6 +459,19 @@ def test_moving_a_control_changes_the_curves(bench, page, model):
     expected = [limits[0][0, time_point], limits[1][0, time_point, ::-1]]
     assert band == pytest.approx(np.concatenate(expected) * FACTORS["pressure"], abs=2e-6)
     assert len(drawn(bench, page, "over", "1D solver")["flow"]) == 100
+
+
+def test_a_number_outside_a_control_moves_box_slider_and_curves(bench, page, model):
+    from selenium.webdriver.common.keys import Keys
+
+    choices = Choices(model)
+    box = page.find_element("css selector", "#blockage input")
+    for typed, shown in ((95, choices.blockage.maximum), (1, choices.blockage.minimum), (50, 0.5)):
+        box.send_keys(Keys.CONTROL, "a")
+        box.send_keys(str(typed), Keys.TAB)
+        assert_drawn(bench, page, model, choices.inputs(shown, choices.scale.start))
+        assert float(box.get_attribute("value")) == pytest.approx(100 * shown)
+        assert chosen(page, "blockage") == pytest.approx(100 * shown)
 
 
 def test_novelty_and_its_warning_are_shown(bench, page, model):

@@ -33,6 +33,7 @@ class Server(http.server.ThreadingHTTPServer):
         super().__init__(("127.0.0.1", 0), Handler)
         self.asked: list[str] = []
         self.faults: dict[str, list[str]] = {}
+        self.ended = threading.Event()
 
     @property
     def url(self):
@@ -55,7 +56,9 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.send_response(200)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        if fault == "cut":
+        if fault == "stall":
+            self.server.ended.wait(60)
+        elif fault == "cut":
             self.wfile.write(body[: len(body) // 2])
         else:
             self.wfile.write(body if fault != "altered" else body[::-1])
@@ -74,6 +77,7 @@ def server(monkeypatch):
         thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield running
+        running.ended.set()
         running.shutdown()
         thread.join()
 
@@ -171,6 +175,21 @@ def test_a_damaged_file_in_the_cache_is_replaced(server, tmp_path):
     download_published(tmp_path, progress=False, base_url=server.url)
     assert stored(folder) == FILES
     assert len(server.asked) == 4
+
+
+def test_a_download_that_stalls_is_given_up(server, tmp_path, monkeypatch):
+    monkeypatch.setattr(datasets, "_STALLED", 0.2)
+    path = list(FILES)[2]
+    server.faults[path] = ["stall"] * 2
+    with pytest.raises(DataNotFoundError, match=r"could not be downloaded.*timed out"):
+        download_published(tmp_path, progress=False, base_url=server.url, retries=1)
+    assert server.asked.count(path) == 2
+
+
+def test_missing_certificates(server, tmp_path, monkeypatch):
+    monkeypatch.setenv("REQUESTS_CA_BUNDLE", str(tmp_path / "absent.pem"))
+    with pytest.raises(DataNotFoundError, match=r"absent\.pem.*REQUESTS_CA_BUNDLE or CURL"):
+        download_published(tmp_path, progress=False, base_url="https://127.0.0.1:1/", retries=0)
 
 
 def test_offline(server, elsewhere, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from io_helpers import replaced
 
@@ -71,3 +72,16 @@ def test_wall_shear_stress_comes_back_from_every_format(
     prediction.save(path := tmp_path / f"p.{ending}")
     read = {"csv": read_csv, "vtp": read_simvascular}.get(ending, load_cases)
     np.testing.assert_allclose(read(path).wall_shear_stress, stress, rtol=1e-14)
+
+
+def test_labels_that_look_like_formulas_are_text_in_a_spreadsheet(prediction, tmp_path):
+    names = ["=HYPERLINK(1)", "@a", "'-b"]
+    labels = prediction.labels.assign(**{"patient": names, "note": ["x", "y", "=z"]})
+    for name in ("p.csv", "p.csv.gz"):
+        replaced(prediction, labels=labels).save(tmp_path / name)
+        written = pd.read_csv(tmp_path / name, keep_default_na=False)
+        assert list(written["patient"].unique()) == ["'=HYPERLINK(1)", "'@a", "''-b"]
+        assert list(written["note"].unique()) == ["x", "y", "'=z"]
+        found = read_csv(tmp_path / name, period=1.0).labels
+        assert sorted(found["patient"]) == sorted(names)
+        assert sorted(found["note"]) == ["=z", "x", "y"]

@@ -8,6 +8,7 @@ from datetime import datetime
 
 import numpy as np
 import pandas as pd
+import psutil
 import pytest
 from helpers import same_bits
 
@@ -15,9 +16,11 @@ from pcnde_bridge import (
     PCNDE,
     Cases,
     InputError,
+    SolveError,
     __version__,
 )
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.parameters import STAGES
 
 
@@ -380,3 +383,49 @@ def test_joined_batches_have_unique_cases(small_model, small_cases):
     inputs = small_cases.inflow, small_cases.area_undeformed
     parts = [p.to_cases() for p in small_model.predict_batches(*inputs, batch=5)]
     assert [g for part in parts for g in part.labels["geometry"]] == list(range(12))
+
+
+# ---- limits ------------------------------------------------------------------
+
+
+def test_a_prediction_that_is_not_finite_is_an_error(small_model, small_cases):
+    inflow = small_cases.inflow.copy()
+    inflow[3] *= 1e200
+    with pytest.raises(SolveError, match=r"case 3 is not finite|for case 3"):
+        small_model.predict(inflow, small_cases.area_undeformed, units="cgs")
+
+
+@pytest.mark.parametrize("name", ["flow", "area", "pressure"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_each_variable_must_be_finite(small_cases, small_model, monkeypatch, name, value):
+    class Faulty(JaxEngine):
+        def predict(self, *arguments):
+            solution = super().predict(*arguments)
+            values = getattr(solution, name).copy()
+            values[[2, 5], 1, 4] = value, -value
+            return solution._replace(**{name: values})
+
+    monkeypatch.setattr(small_model, "engine", Faulty())
+    message = rf"predicted {name} of case 2 is not finite \(2 of 12 cases\)"
+    with pytest.raises(SolveError, match=message):
+        small_model.predict(small_cases)
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_it_is_computed(
+    small_model, physics_model, small_cases, physics_cases, monkeypatch
+):
+    with pytest.raises(InputError, match=r"16 cases with 1000000000 samples would need \d.* GB"):
+        physics_model.predict(physics_cases, samples=10**9)
+    free = psutil.virtual_memory()
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free._replace(available=1000))
+    monkeypatch.setattr("pcnde_bridge._utils.validation._FEW", 1)
+    inputs = small_cases.inflow, small_cases.area_undeformed
+    with pytest.raises(InputError, match=r"12 cases with 0 samples .* use predict_batches"):
+        small_model.predict(*inputs)
+    needed = 8 * 2 * 2 * 3 * 20 * 21
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: free._replace(available=needed))
+    assert len(list(small_model.predict_batches(*inputs, batch=2))) == 6
+    with pytest.raises(InputError, match="5 cases with 0 samples"):
+        small_model.predict_batches(*inputs, batch=5)
+    with pytest.raises(InputError, match="12 cases with 0 samples"):
+        small_model.predict_batches(*inputs, batch=10**12)

@@ -12,5 +12,15 @@
     timer = setTimeout(() => window.dash_clientside.set_props("settled", { data }), delay);
   };
 
+  // Dash moves a number that was typed into the control's range, but does not report it.
+  document.addEventListener("change", (event) => {
+    const box = event.target;
+    if (!box.closest(".dash-slider-container") || box.value === "") return;
+    const value = Math.min(Math.max(Number(box.value), Number(box.min)), Number(box.max));
+    // As if it had been typed: React watches the value that is set on the element itself.
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(box, value);
+    box.dispatchEvent(new Event("input", { bubbles: true }));
+  });
+
   window.dash_clientside = Object.assign({}, window.dash_clientside, { pcnde: { settled } });
 })();
