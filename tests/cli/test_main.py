@@ -507,7 +507,7 @@ def test_commands_are_listed_in_order(run):
     lines = printed[printed.index("Commands:") :].splitlines()[1:]
     assert [line.split()[0] for line in lines if line.strip()] == [
         *("fit", "cross-validate", "info", "evaluate", "predict", "demo", "simulate"),
-        *("convert", "bench", "app", "figures", "download", "doctor"),
+        *("design", "convert", "bench", "app", "figures", "download", "doctor"),
     ]
     assert "..." not in "".join(lines)  # every summary is whole
 
