@@ -94,7 +94,7 @@ def design(
     ),
     period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
 ) -> None:
-    """Choose which simulations to run, from inflows and vessels alone.
+    """Choose the simulations to run, from inflows and vessels.
 
     Every vessel can have every inflow. With --done, further ones are chosen, and the errors
     of a model of the finished ones (preset physics) for all pairs are estimated.
