@@ -177,13 +177,13 @@ def test_whole_models_agree(engines, config, small_cases, problem):
         )
         for e in engines
     )
-    for by_julia, by_jax in zip(julia, jax, strict=True):
+    for by_julia, by_jax in zip(julia[:3], jax[:3], strict=True):
         assert np.linalg.norm(by_julia - by_jax) < 1e-8 * np.linalg.norm(by_jax)
     without = parameters.replace(temporal_pressure=np.empty(0), spatial_pressure=np.empty(0))
     inputs = ModelInputs(small_cases.inflow, small_cases.area_undeformed, grid)
-    flow, _, pressure = engines[0].predict(without, inputs, config)
-    assert pressure is None
-    np.testing.assert_array_equal(flow, julia.flow)
+    bare = engines[0].predict(without, inputs, config)
+    assert bare.pressure is None
+    np.testing.assert_array_equal(bare.flow, julia.flow)
 
 
 @pytest.mark.data

@@ -569,7 +569,7 @@ for _ in range(10):
     collect(False)
 stop.set()
 thread.join()
-np.savez("found.npz", *found)
+np.savez("found.npz", *found[:3])
 """
 
 
@@ -589,7 +589,7 @@ def test_two_threads_give_the_same_beside_pythons_threads(
     )
     assert done.returncode == 0, done.stderr
     assert "threads='2', handle_signals='yes'" in done.stdout
-    expected = engine.predict(parameters, *inputs)
+    expected = engine.predict(parameters, *inputs)[:3]
     with np.load(tmp_path / "found.npz") as found:
         for name, array in zip(found.files, expected, strict=True):
             np.testing.assert_array_equal(found[name], array)
