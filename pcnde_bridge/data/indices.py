@@ -341,17 +341,13 @@ class VesselQuantities:
     def poiseuille_wall_shear_stress(self, viscosity: float = 0.04) -> Array:
         """Return Poiseuille's wall shear stress 4·μ·Q/(π·r³), dyn/cm².
 
-        It holds for steady, developed flow in a straight tube.  In a stenosis the wall shear
-        stress is several times larger.
+        Its shape is (case, time, z).  It holds for steady, developed flow in a straight tube;
+        in a stenosis the wall shear stress is several times larger.
 
         Parameters
         ----------
         viscosity : float
             μ, poise.
-
-        Returns
-        -------
-        array of shape (case, time, z)
         """
         return poiseuille_wall_shear_stress(self.flow, self.area, viscosity)
 
@@ -385,10 +381,8 @@ class VesselQuantities:
 
         Returns
         -------
-        stress : array of shape (case,)
-            The largest magnitude at all points and time points.
-        position : array of shape (case,)
-            Its axial position, cm.
+        stress, position : array of shape (case,)
+            The largest magnitude at all points and time points, and its position, cm.
 
         Raises
         ------
