@@ -15,7 +15,6 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.julia.environment import JuliaStatus, julia_status
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
@@ -186,7 +185,6 @@ class ToyEngine:
 
     name = "toy"
     versions: ClassVar = {"toy": "1"}
-    lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self):
         self.flow = ToyStage(_toy_flow)

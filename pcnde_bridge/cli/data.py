@@ -131,8 +131,16 @@ def download(
 
 def doctor(
     load: bool = option(False, "Load Julia even if it must be compiled first (minutes).", "--load"),
+    write_project: Path | None = option(
+        None, "Write a Julia project with tested versions to this folder, and check nothing."
+    ),
 ) -> None:
     """Check engines and data on this machine and suggest fixes."""
+    if write_project is not None:
+        from pcnde_bridge.engines.julia import environment
+
+        say(environment.write_project(write_project))
+        return
     from pcnde_bridge.cli.doctor import examine
 
     say(f"pcnde_bridge {__version__}")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EngineChoice", "EngineName", "select_engine"]
 
-EngineName = Literal["auto", "julia", "jax"]
+EngineName = Literal["auto", "julia", "julia-reference", "jax"]
 EngineChoice: TypeAlias = "EngineName | Engine"
 
 _log = logging.getLogger("pcnde_bridge")
@@ -27,10 +27,11 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
 
     Parameters
     ----------
-    name : {'auto', 'julia', 'jax'} or Engine
+    name : {'auto', 'julia', 'julia-reference', 'jax'} or Engine
         ``auto`` selects Julia if it is installed and usable on this machine,
         otherwise JAX; the choice and its reason are logged to ``pcnde_bridge`` at level
-        INFO.  An engine is returned unchanged.
+        INFO.  ``julia-reference`` computes the flow by the Julia libraries alone, slowly,
+        as a standard for the others.  An engine is returned unchanged.
 
     Raises
     ------
@@ -44,11 +45,13 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
     if name not in get_args(EngineName):
         raise InputError(f"Unknown engine {name!r}; choose one of {list(get_args(EngineName))}.")
     if name != "jax":
-        from pcnde_bridge.engines.julia.engine import julia_engine
+        from pcnde_bridge.engines.julia.engine import julia_engine, reference_engine
         from pcnde_bridge.engines.julia.environment import julia_status
 
         if name == "julia":
             return julia_engine()
+        if name == "julia-reference":
+            return reference_engine()
         status = julia_status()
         try:
             if status.usable:

@@ -20,7 +20,6 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.types import (
-    LBFGS,
     Fit,
     FitData,
     ModelInputs,
@@ -200,7 +199,7 @@ class Engine(ABC):
     Attributes
     ----------
     name : str
-        ``"julia"`` or ``"jax"``.
+        ``"julia"``, ``"julia-reference"`` or ``"jax"``.
     versions : mapping of str to str
         Versions of the packages that compute.
     flow : Stage
@@ -221,8 +220,6 @@ class Engine(ABC):
         time between the time points, and Q at the first time point (case, z).
     closures : Closures
         The equations of the ``physics`` preset.
-    lbfgs : callable
-        The optimizer :data:`pcnde_bridge.engines.types.LBFGS`.
     """
 
     name: str
@@ -234,7 +231,6 @@ class Engine(ABC):
     spatial_pressure: Stage
     temporal_flow: Stage
     closures: Closures
-    lbfgs: LBFGS
 
     @abstractmethod
     def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:

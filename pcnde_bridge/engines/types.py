@@ -20,18 +20,6 @@ OnIteration = Callable[[int, float], None]
 Objective = Callable[[Array], tuple[float, Array]]
 """Loss and gradient at a parameter vector; the loss is infinite where the equation diverges."""
 
-OnIterate = Callable[[Array, float], None]
-"""Callback with an accepted parameter vector and its loss; it may raise to stop."""
-
-LBFGS = Callable[[Objective, Array, int, int, OnIterate], None]
-"""L-BFGS without restarts, until the loss no longer decreases.
-
-The arguments are the objective, whose loss is always finite; the first iterate, of shape (n,), from
-which the first trial step has length one; the number of stored pairs of steps and gradient changes;
-the largest number of iterations; and a callback with a copy of each accepted iterate and its loss,
-whose exceptions end the fit and are propagated.
-"""
-
 StageInputs = tuple[Array, ...]
 """Inputs of a stage, see :class:`pcnde_bridge.engines.protocol.Engine`; each (case, ...)."""
 

@@ -147,13 +147,12 @@ def fit_flow(
 
     def fit_equation(start: Array, iterations: int, on_iteration: OnIteration) -> Fit:
         options = Options(settings.memory, settings.weight_decay, iterations, unit)
-        run = options, engine.lbfgs, on_iteration
-        found = minimize(objective, whitening.coordinates(start), *run)
+        found = minimize(objective, whitening.coordinates(start), options, on_iteration)
         return replace(found, parameters=whitening.parameters(found.parameters))
 
     if config.flow.terms:
         return run(1, partial(fit_equation, start, iterations + settings.collocation_iterations))
-    found = run(1, partial(Collocation(data, weight, whitening).fit, start, engine.lbfgs))
+    found = run(1, partial(Collocation(data, weight, whitening).fit, start))
     # If the equation diverges with the result, it does not with the start.
     return run(2, partial(fit_equation, min(found, start, key=loss), iterations))
 

@@ -11,7 +11,7 @@ model like any other.  Only the way to the minimum differs:
   layers, and a₁, a₂ and b₁(t) by least squares inside the fit of b₂(t)
   (:mod:`pcnde_bridge.training.pressure_fit`).
 
-The engine computes the flow and runs L-BFGS; everything else is small enough for numpy.
+The engine computes the flow and its gradient; everything else is small enough for numpy.
 """
 
 from __future__ import annotations
@@ -65,4 +65,4 @@ class FullBatchTraining(StagedTraining):
         if step.task == "coupling":
             return record(1, partial(fit_area_stage, getattr(engine, stage), data))
         fit = TemporalPressureFit if stage == "temporal_pressure" else SpatialPressureFit
-        return record(1, partial(fit(data).fit, start, engine.lbfgs))
+        return record(1, partial(fit(data).fit, start))

@@ -1,14 +1,13 @@
-"""L-BFGS with weight decay, with which preset ``fast`` fits a network."""
+"""SciPy's L-BFGS with weight decay, with which preset ``fast`` fits a network."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.engines.types import (
-    LBFGS,
     Fit,
     Objective,
     OnIteration,
@@ -16,6 +15,9 @@ from pcnde_bridge.engines.types import (
     ignore,
     is_finite,
 )
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 _DIVERGED = 10.0  # loss of a diverging trial step, relative to the first loss
 _TINY = 1e-300
@@ -46,7 +48,6 @@ def minimize(
     objective: Objective,
     start: Array,
     options: Options,
-    lbfgs: LBFGS,
     on_iteration: OnIteration = ignore,
 ) -> Fit:
     """Minimize objective(x)/unit + weight_decay·|x|².
@@ -59,8 +60,6 @@ def minimize(
         First iterate.
     options : Options
         Unit of the loss, weight decay, and limits of the search.
-    lbfgs : callable
-        Runs the iterations.
     on_iteration : callable
         Called with the number and loss of each iteration; may raise to stop.
 
@@ -69,6 +68,8 @@ def minimize(
     SolveError
         If the loss is not finite at the start.
     """
+    from scipy.optimize import minimize as minimize_by_scipy
+
     memory, decay, iterations, unit = options
     first, gradient = objective(start)
     check_start(first, gradient)
@@ -83,13 +84,17 @@ def minimize(
             return ceiling, way * (2 * ceiling / max(float(way @ way), _TINY))
         return loss / unit + decay * float(x @ x), gradient / unit + 2 * decay * x
 
-    def accept(x: Array, value: float) -> None:
+    def accept(intermediate_result: OptimizeResult) -> None:
         nonlocal last
-        last = x
-        losses.append((value - decay * float(x @ x)) * unit)
+        last = intermediate_result.x.copy()
+        losses.append((float(intermediate_result.fun) - decay * float(last @ last)) * unit)
         on_iteration(len(losses) - 1, losses[-1])
 
-    lbfgs(evaluate, start, memory, iterations, accept)
+    limits = {"maxiter": iterations, "maxfun": 20 * iterations, "maxcor": memory}
+    without_tolerances = {**limits, "ftol": 0.0, "gtol": 0.0}
+    minimize_by_scipy(
+        evaluate, start, jac=True, method="L-BFGS-B", callback=accept, options=without_tolerances
+    )
     converged = len(losses) <= iterations
     message = "loss falls no more" if converged else "all iterations done"
     return Fit(last, np.array(losses), converged, message)

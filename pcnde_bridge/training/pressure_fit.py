@@ -12,7 +12,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.engines import shared_terms as terms
-from pcnde_bridge.engines.types import LBFGS, Fit, FitData, OnIteration, ignore
+from pcnde_bridge.engines.types import Fit, FitData, OnIteration, ignore
 from pcnde_bridge.training.lbfgs import Options, minimize
 from pcnde_bridge.training.least_squares import solve_normal
 from pcnde_bridge.training.variable_projection import Projection, VariableProjection
@@ -102,10 +102,10 @@ class SpatialPressureFit:
         self._more_more, self._more_drop = (more * more).sum(axis=0), (more * drop).sum(axis=0)
         self._drop_drop = (drop * drop).sum(axis=0)
 
-    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration = ignore) -> Fit:
+    def fit(self, start: Array, on_iteration: OnIteration = ignore) -> Fit:
         """Fit the vector a₁, a₂, b₁, b₂, of shape (2 + 2·time,), from a given one."""
         first = start[2 + len(self._drop) :]
-        found = minimize(self.objective, first, self._options, lbfgs, on_iteration)
+        found = minimize(self.objective, first, self._options, on_iteration)
         linear, _ = self.linear(self.step(found.parameters)[0])
         return replace(found, parameters=np.concatenate([linear, found.parameters]))
 

@@ -18,7 +18,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config.settings import FlowStage, TemporalPressureStage
 from pcnde_bridge.engines.parameters import unpack_network
-from pcnde_bridge.engines.types import LBFGS, Fit, OnIteration, ignore
+from pcnde_bridge.engines.types import Fit, OnIteration, ignore
 from pcnde_bridge.training.lbfgs import Options, minimize
 from pcnde_bridge.training.whitening import Whitening
 
@@ -58,10 +58,10 @@ class VariableProjection(ABC):
     def project(self, hidden: Array) -> Projection:
         """Solve the least squares for the output of the last hidden layer, (sample, hidden)."""
 
-    def fit(self, start: Array, lbfgs: LBFGS, on_iteration: OnIteration = ignore) -> Fit:
+    def fit(self, start: Array, on_iteration: OnIteration = ignore) -> Fit:
         """Fit the network from given parameters."""
-        run = self._options, lbfgs, on_iteration
-        found = minimize(self.objective, self.coordinates(start), *run)
+        first = self.coordinates(start)
+        found = minimize(self.objective, first, self._options, on_iteration)
         layer, _, _ = self.project(self._forward(found.parameters)[0])
         coordinates = np.concatenate([found.parameters, layer.ravel()])
         return replace(found, parameters=self._whitening.parameters(coordinates))

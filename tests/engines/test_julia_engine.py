@@ -16,6 +16,7 @@ import tomllib
 import types
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import requires
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from pcnde_bridge.engines.julia.environment import (
     julia_settings_file,
     julia_sources,
     julia_status,
+    write_project,
 )
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.staged import undeformed
@@ -40,6 +42,7 @@ from pcnde_bridge.engines.types import FitData, ModelInputs
 from pcnde_bridge.errors import (
     EngineError,
     EngineUnavailableError,
+    InputError,
     PCNDEWarning,
     SolveError,
 )
@@ -249,6 +252,43 @@ def test_a_broken_file_is_named(bare, text):
     settings_file().write_text(text)
     status = julia_status()
     assert not status.usable and str(julia_settings_file()) in status.message
+
+
+def numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, version.split(".")))
+
+
+def fits(version: str, bounds: str) -> bool:
+    """Whether a version is within one entry of [compat]."""
+    first, _, last = bounds.partition(" - ")
+    low, found = numbers(first), numbers(version)
+    # Without a last version, the first number that is not zero may not change.
+    fixed = next(i for i, number in enumerate(low) if number) + 1
+    high = numbers(last) if last else low[:fixed]
+    return low <= found and found[: len(high)] <= high
+
+
+def test_a_project_for_a_machine_without_network_access(bare):
+    folder = bare / "new" / "project"
+    commands = write_project(folder)
+    assert f"cd {folder}" in commands and str(julia_settings_file()) in commands
+    copied = folder / "PCNDECore"
+    assert core_version(copied).startswith(OUR_SERIES)
+    for file in (*julia_sources().glob("src/**/*.jl"), *julia_sources().glob("ext/*.jl")):
+        assert (copied / file.relative_to(julia_sources())).read_bytes() == file.read_bytes()
+    project = tomllib.loads((folder / "Project.toml").read_text())
+    core = tomllib.loads((copied / "Project.toml").read_text())
+    pinned = {name: bounds.removeprefix("=") for name, bounds in project["compat"].items()}
+    assert set(project["deps"]) == set(pinned) - {"julia"}
+    of_julia = {"LinearAlgebra", "Random", "TOML"}
+    for name in set(core["deps"]) - of_julia:
+        assert project["deps"][name] == core["deps"][name]
+        assert fits(pinned[name], core["compat"][name]), name
+    assert f"juliacall=={pinned['PythonCall']}" in requires("pcnde-bridge")
+    with pytest.raises(InputError, match="not an empty folder"):
+        write_project(folder)
+    assert fits("4.15.2", "4.6 - 4.15") and not fits("4.16.0", "4.6 - 4.15")
+    assert not fits("2.0.1", "2.1") and not fits("0.10.0", "0.9.30")
 
 
 def test_nothing_is_downloaded_unasked(bare, monkeypatch):
@@ -571,6 +611,19 @@ stop.set()
 thread.join()
 np.savez("found.npz", *found[:3])
 """
+
+
+@pytest.mark.julia
+def test_a_julia_that_computes_otherwise_is_refused():
+    done = run(
+        "from pcnde_bridge.engines.julia import runtime\n"
+        "from pcnde_bridge.errors import EngineUnavailableError\n"
+        "runtime.start().Main.seval('using PCNDECore; PCNDECore.CHECKED_LOSSES[1] += 1e-3')\n"
+        "try: runtime.running()\n"
+        "except EngineUnavailableError as error: print(error)\n"
+    )
+    assert "do not compute the flow as the tested ones" in done.stdout, done.stderr
+    assert "OrdinaryDiffEqCore 4." in done.stdout and "pcnde doctor" in done.stdout
 
 
 @pytest.mark.julia

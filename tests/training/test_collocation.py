@@ -73,7 +73,7 @@ def test_the_fit_along_the_known_flow_is_nearly_that_of_the_equation(engine, sma
     config = LITTLE.replace(full_batch=settings)
     known, area = known_flow(small_cases, config)
     start, losses = initial_parameters(config, 20, 21, 0).flow, []
-    found = known.fit(start, engine.lbfgs, lambda _, loss: losses.append(loss))
+    found = known.fit(start, lambda _, loss: losses.append(loss))
     fitted = found.parameters
     assert all(later <= earlier for earlier, later in pairwise(losses))
     inputs = small_cases.inflow, area

@@ -24,7 +24,7 @@ def test_the_pressure_networks_last_layer_is_at_its_minimum(engine, small_cases,
     start = initial_parameters(config, 20, 21, 0).temporal_pressure
     losses = []
     fit = TemporalPressureFit(FitData(inputs, target, grid, config)).fit
-    vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
+    vector = fit(start, lambda _, loss: losses.append(loss)).parameters
     stage = engine.temporal_pressure
     loss, gradient = loss_and_gradient_of(stage, vector, inputs, target, grid, config)
     first, before = loss_and_gradient_of(stage, start, inputs, target, grid, config)
@@ -45,7 +45,7 @@ def test_the_spatial_pressure_is_at_its_minimum(engine, small_cases, grid, form)
     start = initial_parameters(config, 20, 21, 0).spatial_pressure
     losses = []
     fit = SpatialPressureFit(FitData(inputs, target, grid, config)).fit
-    vector = fit(start, engine.lbfgs, lambda _, loss: losses.append(loss)).parameters
+    vector = fit(start, lambda _, loss: losses.append(loss)).parameters
     stage = engine.spatial_pressure
     loss, gradient = loss_and_gradient_of(stage, vector, inputs, target, grid, config)
     first, before = loss_and_gradient_of(stage, start, inputs, target, grid, config)

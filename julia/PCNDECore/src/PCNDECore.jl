@@ -18,17 +18,19 @@ momentum equation to the network, and `temporal_flow.jl` integrates the equation
 Every array is float64 with the indices (z, time, case), in CGS units. The parameters of each
 stage are one flat vector. `predict.jl` runs all stages of a trained model; `bridge.jl` has the
 functions that Python calls. The equations of the preset `physics` are in `closures/`.
+`reference.jl` is the first stage by the libraries alone, against which it is tested.
 """
 module PCNDECore
 
+using Base.Broadcast: ArrayStyle, Broadcasted
 using ForwardDiff: ForwardDiff, Dual
 using LinearAlgebra: LinearAlgebra, Adjoint, I, axpy!, dot, mul!, norm, rmul!
-using LineSearches: BackTracking, LineSearchException, MoreThuente
+using LineSearches: BackTracking, LineSearchException
 using Lux: Lux, Chain, Dense
 using NLSolversBase: NLSolversBase, OnceDifferentiable
 using NNlib: NNlib
-using Optim: Optim, BFGS, LBFGS
-using OrdinaryDiffEqCore: OrdinaryDiffEqCore
+using Optim: Optim, BFGS
+using OrdinaryDiffEqCore: OrdinaryDiffEqCore, PIController
 using OrdinaryDiffEqTsit5: Tsit5
 using PrecompileTools: @compile_workload, @setup_workload
 using Random: Random
@@ -60,7 +62,7 @@ include("spatial_pressure.jl")
 include("predict.jl")
 include("inverse_hessian.jl")
 include("fit.jl")
-include("lbfgs.jl")
+include("reference.jl")
 include("closures/quadrature.jl")
 include("closures/wall.jl")
 include("closures/boundary_layer.jl")
@@ -70,6 +72,7 @@ include("closures/coupling.jl")
 include("closures/closures.jl")
 include("state.jl")
 include("bridge.jl")
+include("self_check.jl")
 include("precompile.jl")
 
 end

@@ -55,7 +55,7 @@ Solve a stage, (z, time, case). The result of a case does not depend on the othe
 # Arguments
 
   - `stage`: `"flow"`, `"intermediate_area"`, `"fourier_area"`, `"temporal_pressure"`,
-    `"spatial_pressure"` or `"temporal_flow"`.
+    `"spatial_pressure"`, `"temporal_flow"`, or `"reference_flow"`, a [`ReferenceFlow`](@ref).
   - `θ`: flat parameter vector.
   - `inputs`: arrays of the stage, in the order of the Python package's `engines.types`.
   - `z`, `period`: points, cm, and cycle length, s.
@@ -71,7 +71,7 @@ function solve(stage::String, θ, inputs, z, period, config::Config)
     elseif stage == "temporal_flow"
         return solve_temporal_flow(θ, inputs..., period, config.temporal_flow)
     end
-    zero_target = zero(first(inputs))
+    zero_target = stage == "reference_flow" ? zero(last(inputs)) : zero(first(inputs))
     return solve(problem(stage, inputs, zero_target, z, period, config), θ)
 end
 
@@ -141,6 +141,8 @@ function problem(stage, inputs, target, z, period, config::Config)
         return FlowProblem(
             inputs..., target, z, config.flow, physics_terms(config, period),
         )
+    elseif stage == "reference_flow"
+        return ReferenceFlow(inputs..., target, z, config.flow)
     elseif stage == "intermediate_area"
         return intermediate_area_problem(
             inputs..., target, period, z, config.intermediate_area,

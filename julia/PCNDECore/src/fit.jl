@@ -49,32 +49,46 @@ function fit(
         start,
     )
     record = IterationRecord(copy(start), Float64[], on_iteration)
-    search = BackTracking(;
-        c_1 = settings.sufficient_decrease,
-        ρ_hi = settings.shrink_least,
-        ρ_lo = settings.shrink_most,
-        iterations = settings.max_backtracks,
-        order = 3,
-    )
-    inverse_hessian = InverseHessian(1.0, length(start))
-    step_norm = settings.initial_step_norm
     linesearch = RestartingLineSearch(
-        search, step_norm, differentiable, inverse_hessian, false,
+        backtracking(settings),
+        settings.initial_step_norm,
+        differentiable,
+        InverseHessian(1.0, length(start)),
+        false,
     )
     method = BFGS(; linesearch, initial_invH = _ -> reset!(linesearch))
-    options = Optim.Options(;
-        iterations,
-        g_abstol = settings.gradient_tolerance,
-        successive_f_tol = 0,
-        show_warnings = false,
-        callback = record,
-    )
-    result = Optim.optimize(differentiable, start, method, options)
+    limits = options(settings, iterations, record)
+    result = Optim.optimize(differentiable, start, method, limits)
+    return outcome(result, record, linesearch.failed)
+end
+
+backtracking(settings::Optimizer) = BackTracking(;
+    c_1 = settings.sufficient_decrease,
+    ρ_hi = settings.shrink_least,
+    ρ_lo = settings.shrink_most,
+    iterations = settings.max_backtracks,
+    order = 3,
+)
+
+options(settings::Optimizer, iterations, callback) = Optim.Options(;
+    iterations,
+    g_abstol = settings.gradient_tolerance,
+    successive_f_tol = 0,
+    show_warnings = false,
+    callback,
+)
+
+"""
+    outcome(result, record, failed)
+
+Result of a [`fit`](@ref); `failed` is whether a line search found no lower loss.
+"""
+function outcome(result, record, failed)
     code = Optim.termination_code(result)
     # A failed line search leaves the loss unchanged, which Optim reports as convergence.
-    converged = code in CONVERGED && !linesearch.failed
+    converged = code in CONVERGED && !failed
     message = get(MESSAGES, code, "loss or gradient not finite")
-    linesearch.failed && (message = "line search found no lower loss")
+    failed && (message = "line search found no lower loss")
     return (; record.parameters, record.losses, converged, message)
 end
 

@@ -55,8 +55,12 @@ function LinearAlgebra.mul!(
 end
 
 # Optim's reset: h .= fresh.
-Base.Broadcast.broadcasted(::typeof(identity), h::InverseHessian) = h
-function Base.Broadcast.materialize!(h::InverseHessian, fresh::InverseHessian)
+Base.BroadcastStyle(::Type{InverseHessian}) = ArrayStyle{InverseHessian}()
+
+function Base.copyto!(h::InverseHessian, source::Broadcasted{ArrayStyle{InverseHessian}})
+    source.f === identity ||
+        throw(ArgumentError("an InverseHessian can only be set to another one"))
+    fresh::InverseHessian = only(source.args)
     h.scale = fresh.scale
     for (old, new) in ((h.factors, fresh.factors), (h.left, fresh.left), (h.right, fresh.right))
         append!(empty!(old), new)

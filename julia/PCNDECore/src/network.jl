@@ -25,23 +25,6 @@ function chain(widths::AbstractVector{<:Integer}, activation::AbstractString)
 end
 
 """
-    lux_parameters(chain, parameters)
-
-Convert a flat parameter vector to Lux's nested parameters and states `(ps, st)`. For each
-layer, the vector holds the weight (out × in), column by column, and then the bias.
-"""
-function lux_parameters(chain::Chain, parameters::AbstractVector{<:Real})
-    _, st = Lux.setup(Random.default_rng(), chain)
-    offset = 0
-    take(count) = parameters[(offset + 1):(offset += count)]
-    ps = map(chain.layers) do layer
-        weight = reshape(take(layer.in_dims * layer.out_dims), layer.out_dims, layer.in_dims)
-        (; weight, bias = take(layer.out_dims))
-    end
-    return ps, st
-end
-
-"""
     Network(chain)
 
 Activation and matrices `[W b]` (out × in + 1) of a `Chain`, for inputs with an additional
@@ -55,10 +38,13 @@ end
 
 function Network(chain::Chain)
     layers = values(chain.layers)
-    # Like Lux, replace some activations by faster ones of the same accuracy.
-    σ = NNlib.fast_act(first(layers).activation, [0.0])
-    return Network(σ, [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers])
+    return Network(fast(first(layers).activation), [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers])
 end
+
+# Like Lux, replace some activations by faster ones of the same accuracy.
+fast(σ) = σ
+fast(::typeof(tanh)) = NNlib.tanh_fast
+fast(::typeof(NNlib.sigmoid)) = NNlib.sigmoid_fast
 
 Base.length(network::Network) = sum(length, network.matrices)
 
@@ -92,7 +78,12 @@ function derivative(::typeof(NNlib.swish), x, y)
     s = NNlib.sigmoid_fast(x)
     return s + y * (1 - s)
 end
-derivative(::typeof(NNlib.gelu), x, y) = NNlib.deriv_gelu(x)
+# y = x/2·(1 + tanh u) with u = √(2/π)·(x + 0.044715·x³)
+function derivative(::typeof(NNlib.gelu), x, y)
+    λ, cubic = sqrt(2 / π), 0.044715 * x^2
+    t = NNlib.tanh_fast(λ * x * (1 + cubic))
+    return (1 + t + λ * x * (1 + 3 * cubic) * (1 - t^2)) / 2
+end
 
 """
     Activations(widths, columns)

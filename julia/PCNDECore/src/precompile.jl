@@ -31,7 +31,6 @@
         [1e6, 0.45, 0.2, 1.0, 0.0], [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
     )
     pressure, points = 1e5 .* flow, [1.0, 6.0]
-    bowl(x, result) = (result[1] = sum(abs2, x); result[2:end] .= 2 .* x; nothing)
     @compile_workload begin
         for a in (z, inflow, area)
             GC.@preserve a copy_python_array(Int(pointer(a)), size(a)...)
@@ -64,7 +63,6 @@
         fit("flow", θ, (inflow, area), flow, z, 1.0, with_terms, 2, (_, _) -> nothing)
         losses("flow", reshape(θ, :, 1), (inflow, area), flow, z, 1.0, with_terms)
         store_objective("flow", (inflow, area), flow, ones(size(flow, 3)), z, 1.0, Config())
-        lbfgs(bowl, [1.0, 2.0], 3, 2, (_, _) -> nothing)
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
         closure("losses", closures[2], (flow, zero(flow), area_undeformed), z, 1.0, chosen)
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
@@ -77,6 +75,7 @@
             predict_closures(chosen, 1.0, numbers...)
         end
         versions()
+        self_check()
         clear!(STATE)
     end
 end

@@ -7,10 +7,13 @@ const SIMD_WIDTH = 8
 
 const SIMDVector = Vec{SIMD_WIDTH, Float64}
 
-"""
-Arrays with contiguous memory.
-"""
-const Contiguous = Union{DenseArray{Float64}, Base.FastContiguousSubArray{Float64}}
+is_contiguous(a) =
+    stride(a, 1) == 1 &&
+    all(k -> stride(a, k + 1) == stride(a, k) * size(a, k), 1:(ndims(a) - 1))
+
+check_contiguous(arrays...) =
+    all(is_contiguous, arrays) ||
+    throw(ArgumentError("an array's memory is not contiguous: pass a copy"))
 
 """
     streaming_copy!(target, source)
@@ -18,8 +21,9 @@ const Contiguous = Union{DenseArray{Float64}, Base.FastContiguousSubArray{Float6
 `copyto!(target, source)` with non-temporal stores, which bypass the processor's cache: the
 target is not read before it is written, and the cached data stays in the cache.
 """
-function streaming_copy!(target::Contiguous, source::Contiguous)
+function streaming_copy!(target::StridedArray{Float64}, source::StridedArray{Float64})
     n = length(source)
+    check_contiguous(target, source)
     length(target) == n || throw(DimensionMismatch("$(length(target)) of $n numbers"))
     GC.@preserve target source begin
         to, from = pointer(target), pointer(source)

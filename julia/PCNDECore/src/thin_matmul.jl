@@ -10,7 +10,10 @@ const BLOCK_COLUMNS = 4
 
 `c = a * b` for a matrix `a` with few columns, for which BLAS is slower.
 """
-function thin_matmul!(c::Contiguous, a::Contiguous, b::AbstractMatrix{Float64})
+function thin_matmul!(
+    c::StridedMatrix{Float64}, a::StridedMatrix{Float64}, b::AbstractMatrix{Float64},
+)
+    check_contiguous(c, a)
     n, n_columns = size(c)
     size(a) == (n, size(b, 1)) && size(b, 2) == n_columns ||
         throw(DimensionMismatch("$(size(c)) is not that of $(size(a)) times $(size(b))"))

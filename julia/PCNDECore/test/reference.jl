@@ -1,118 +1,89 @@
-# Reference implementation of the flow's fit from public interfaces of the libraries alone: Lux
-# evaluates the network, OrdinaryDiffEq's Tsit5 steps the flow with its own controller, ForwardDiff
-# differentiates the loss, and Optim's BFGS with a dense matrix minimizes it. It is the standard
-# for the kernels, the reduced state, the discrete adjoint and the implicit inverse Hessian.
-
-using PCNDECore: ForwardDiff
-
-"""
-    ReferenceFlow(model, inflow, area, target, z; rtol, atol)
-
-Momentum equation ∂Q/∂z = f_θ(Q, S) with any Lux `Chain` of `Dense` layers as f_θ.
-
-# Fields
-
-  - `inflow`: Q(z=0, t), mL/s, (time, case).
-  - `area`, `target`: S, cm², and reference Q, mL/s, (z, time, case).
-  - `z`: points, cm.
-  - `rtol`, `atol`: tolerances of the solver.
-"""
-Base.@kwdef struct ReferenceFlow{M}
-    model::M
-    inflow::Matrix{Float64}
-    area::Array{Float64, 3}
-    target::Array{Float64, 3}
-    z::Vector{Float64}
-    rtol::Float64
-    atol::Float64
-end
-
-"""
-    reference_solution(problem, parameters)
-
-Q, mL/s, (z, time, case), of parameters in a flat vector.
-"""
-function reference_solution(problem::ReferenceFlow, parameters)
-    (; model, inflow, area, z, rtol, atol) = problem
-    ps, st = lux_parameters(model, parameters)
-    function rate(q, _, position)
-        i = clamp(searchsortedlast(z, position), 1, length(z) - 1)
-        fraction = (position - z[i]) / (z[i + 1] - z[i])
-        s = (1 - fraction) .* area[i, :, :] .+ fraction .* area[i + 1, :, :]
-        return first(Lux.apply(model, [q; s], ps, st))
-    end
-    start = eltype(parameters).(inflow)
-    equation = ODEProblem{false}(rate, start, (z[1], z[end]))
-    solution = SciMLBase.solve(
-        equation, Tsit5(); abstol = atol, reltol = rtol, saveat = z, maxiters = 10^5,
-    )
-    return permutedims(stack(solution.u), (3, 1, 2))
-end
-
-"""
-    reference_loss(problem, parameters)
-
-Mean squared error of the flow.
-"""
-reference_loss(problem::ReferenceFlow, parameters) =
-    sum(abs2, reference_solution(problem, parameters) .- problem.target) /
-    length(problem.target)
-
-"""
-    reference_gradient(problem, parameters)
-
-Gradient of [`reference_loss`](@ref) by forward-mode differentiation through the solver.
-"""
-reference_gradient(problem::ReferenceFlow, parameters) =
-    ForwardDiff.gradient(θ -> reference_loss(problem, θ), parameters)
-
-"""
-    reference_fit(problem, parameters, settings, iterations)
-
-`(parameters, losses)` of Optim's BFGS with its own dense matrix and line search.
-"""
-function reference_fit(problem::ReferenceFlow, parameters, settings, iterations)
-    method = Optim.BFGS(;
-        linesearch = BackTracking(order = 3),
-        initial_stepnorm = settings.initial_step_norm,
-    )
-    options = Optim.Options(; iterations, store_trace = true)
-    result = Optim.optimize(
-        θ -> reference_loss(problem, θ),
-        (gradient, θ) -> copyto!(gradient, reference_gradient(problem, θ)),
-        parameters, method, options,
-    )
-    return Optim.minimizer(result), Optim.f_trace(result)
-end
-
-@testset "reference of the flow" begin
+@testset "reference: solution, gradient and fit" begin
     # S is linear in z: at its kinks, the order of the solver is reduced.
     taper = range(1.0, 0.6, n_points) .* data.area[1:1, :, :]
     function both(hidden, activation; rtol, atol, max_steps = 4096)
         stage = FlowStage(; hidden, activation, rtol, atol, max_steps)
-        model = chain(flow_widths(stage), activation)
-        reference = ReferenceFlow(;
-            model, data.inflow, area = taper, target = data.flow, z, rtol, atol,
+        problems = (
+            type(copy(data.inflow), taper, data.flow, z, stage) for
+            type in (ReferenceFlow, FlowProblem)
         )
-        parameters = glorot(flow_widths(stage), MersenneTwister(2))
-        return reference, FlowProblem(copy(data.inflow), taper, data.flow, z, stage), parameters
+        return problems..., glorot(flow_widths(stage), MersenneTwister(2))
     end
-    # At the paper's tolerances, both controllers choose other steps.
     reference, fast, parameters = both([8, 8, 8, 8], "tanh"; rtol = 1e-3, atol = 1e-6)
-    solution = reference_solution(reference, parameters)
-    @test solve_flow(parameters, data.inflow, taper, z, fast.stage) ≈ solution rtol = 1e-3
+    solution = solve(reference, parameters)
+    @test solve_flow(parameters, data.inflow, taper, z, fast.stage) ≈ solution rtol = 1e-6
     for (hidden, activation) in (([3], "tanh"), ([3, 2], "gelu"))
         reference, fast, parameters = both(hidden, activation; rtol = 1e-11, atol = 1e-13)
-        solution = reference_solution(reference, parameters)
+        solution = solve(reference, parameters)
         @test solve_flow(parameters, data.inflow, taper, z, fast.stage) ≈ solution rtol = 1e-9
-        gradient = similar(parameters)
-        loss = value_and_gradient!(gradient, fast, parameters)
-        @test loss ≈ reference_loss(reference, parameters) rtol = 1e-9
-        @test gradient ≈ reference_gradient(reference, parameters) rtol = 1e-7
+        for weight in (ones(n_cases), range(0.5, 2.0, n_cases))
+            gradient, expected = similar(parameters), similar(parameters)
+            loss = value_and_gradient!(gradient, set_weight!(fast, weight), parameters)
+            set_weight!(reference, weight)
+            @test loss ≈ value_and_gradient!(expected, reference, parameters) rtol = 1e-9
+            @test gradient ≈ expected rtol = 1e-7
+        end
     end
     reference, fast, parameters = both([2], "tanh"; rtol = 1e-11, atol = 1e-13)
-    result = fit(fast, parameters, Optimizer(), 5)
-    fitted, losses = reference_fit(reference, parameters, Optimizer(), 5)
-    @test result.losses ≈ losses rtol = 1e-8
-    @test result.parameters ≈ fitted rtol = 1e-6
+    result, expected = (fit(p, parameters, Optimizer(), 5) for p in (fast, reference))
+    @test result.losses ≈ expected.losses rtol = 1e-8
+    @test result.parameters ≈ expected.parameters rtol = 1e-6
+    @test expected.message == result.message == "all iterations done"
+end
+
+@testset "reference: any Lux model" begin
+    stage = FlowStage(steps = 5)
+    # A skip connection and a layer without bias, which the kernels do not have.
+    model = Lux.Chain(
+        Lux.Dense(2 * n_times => 4, tanh),
+        Lux.SkipConnection(Lux.Dense(4 => 4, tanh; use_bias = false), +),
+        Lux.Dense(4 => n_times),
+    )
+    problem = ReferenceFlow(model, data.inflow, data.area, data.flow, z, stage)
+    count = Lux.parameterlength(model)
+    check_gradient(problem, 0.1 .* randn(MersenneTwister(4), count); rtol = 1e-6)
+    # The model of zeros has ∂Q/∂z = 0.
+    @test solve(problem, zeros(count)) == repeat(reshape(data.inflow, 1, n_times, :), n_points)
+end
+
+@testset "reference: failures" begin
+    stage = FlowStage(hidden = [2], max_steps = 20)
+    problem = ReferenceFlow(data.inflow, data.area, data.flow, z, stage)
+    broken = fill(NaN, length(glorot(flow_widths(stage), MersenneTwister(1))))
+    @test value!(problem, broken) == Inf
+    @test_throws SolveError solve(problem, broken)
+    @test_throws SolveError fit(problem, broken, Optimizer(), 2)
+    with_terms = FlowStage(terms = ["friction"])
+    @test_throws ArgumentError ReferenceFlow(data.inflow, data.area, data.flow, z, with_terms)
+end
+
+@testset "reference: SciMLSensitivity" begin
+    stage = FlowStage(hidden = [2], rtol = 1e-8, atol = 1e-10, max_steps = 4096)
+    taper = range(1.0, 0.6, n_points) .* data.area[1:1, :, :]
+    problem = ReferenceFlow(data.inflow, taper, data.flow, z, stage)
+    parameters = glorot(flow_widths(stage), MersenneTwister(2))
+    if any(name -> Base.find_package(name) === nothing, ("SciMLSensitivity", "Zygote"))
+        @info "SciMLSensitivity or Zygote is not installed: adjoint_gradient is not tested"
+        @test_throws "Pkg.add" adjoint_gradient(problem, parameters)
+    else
+        @eval using SciMLSensitivity, Zygote
+        gradient = @invokelatest adjoint_gradient(problem, parameters)
+        @test gradient ≈ forward_gradient(problem, parameters) rtol = 1e-4
+    end
+end
+
+@testset "self-check" begin
+    @test PCNDECore.self_check() === nothing
+    stages = PCNDECore.TIGHT_STAGE, PCNDECore.LOOSE_STAGE
+    (problem, parameters), (loose, _) =
+        (PCNDECore.self_check_problem(ReferenceFlow, stage) for stage in stages)
+    losses = fit(problem, parameters, Optimizer(), 4).losses
+    @test PCNDECore.CHECKED_LOSSES ≈ losses rtol = 1e-10
+    @test issorted(losses; rev = true) && losses[end] < losses[1] / 2
+    ends = [0.0]
+    record = SciMLBase.DiscreteCallback(
+        (_, position, _) -> (push!(ends, position); false), identity,
+    )
+    reference_solution(loose, parameters; callback = record)
+    @test PCNDECore.CHECKED_STEPS ≈ diff(ends) rtol = 1e-8
 end

@@ -1,12 +1,12 @@
 using PCNDECore
 using PCNDECore:
     Config, FlowProblem, FlowStage, FourierAreaStage, InverseHessian, IntermediateAreaStage,
-    Network, Objective, Optimizer, Physics, PhysicsTerms, SolveError, SpatialPressure,
-    SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage, TemporalPressure,
-    TemporalPressureStage, chain, fit, fourier_area_problem, integrate!,
-    intermediate_area_problem, lbfgs, lux_parameters, physics_terms, residual!,
-    set_weight!, solve, solve_flow, solve_intermediate_area, solve_temporal_flow, value!,
-    value_and_gradient!
+    Network, Objective, Optimizer, Physics, PhysicsTerms, ReferenceFlow, SolveError,
+    SpatialPressure, SpatialPressureStage, StepControl, TemporalFlow, TemporalFlowStage,
+    TemporalPressure, TemporalPressureStage, adjoint_gradient, chain, fit, forward_gradient,
+    fourier_area_problem, integrate!, intermediate_area_problem, layout, nested_parameters,
+    physics_terms, reference_solution, residual!, set_weight!, solve, solve_flow,
+    solve_intermediate_area, solve_temporal_flow, value!, value_and_gradient!
 # Dependencies are taken from PCNDECore, so that the tests run in every project that contains
 # it, even if the project has its dependencies only indirectly.
 using PCNDECore: BackTracking, I, Lux, ODEProblem, Optim, SciMLBase, Tsit5, dot, mul!, norm
@@ -48,6 +48,14 @@ glorot(widths, rng) = reduce(
     ],
 )
 
+"""
+Lux's parameters and states of a flat parameter vector.
+"""
+function lux_parameters(model, parameters)
+    nested, states = Lux.setup(MersenneTwister(0), model)
+    return nested_parameters(layout(nested), parameters), states
+end
+
 flow_widths(stage) = [2 * n_times; stage.hidden; n_times]
 flow_problem(stage) = FlowProblem(copy(data.inflow), data.area, data.flow, z, stage)
 
@@ -75,7 +83,6 @@ end
     include("area.jl")
     include("pressure.jl")
     include("fit.jl")
-    include("lbfgs.jl")
     include("predict.jl")
     include("closures.jl")
     include("bridge.jl")

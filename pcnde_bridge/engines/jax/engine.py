@@ -15,7 +15,6 @@ from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax import area, flow, physics_terms, pressure, temporal_flow
 from pcnde_bridge.engines.jax.closures.engine import JaxClosures
 from pcnde_bridge.engines.jax.fused_predict import predict
-from pcnde_bridge.engines.jax.lbfgs import lbfgs_of_scipy
 from pcnde_bridge.engines.jax.stage import (
     GridArrays,
     Inputs,
@@ -46,7 +45,6 @@ class JaxEngine(Engine):
     """Engine that computes in this process, with JAX and diffrax."""
 
     name = "jax"
-    lbfgs = staticmethod(lbfgs_of_scipy)
 
     def __init__(self) -> None:
         self.versions = {name: version(name) for name in ("jax", "jaxlib", "diffrax")}

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from pcnde_bridge._typing import Array
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.julia.closures import JuliaClosures
 from pcnde_bridge.engines.julia.runtime import running
@@ -16,7 +15,7 @@ from pcnde_bridge.engines.julia.stage import JuliaStage
 from pcnde_bridge.engines.parameters import STAGES, Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
-from pcnde_bridge.engines.types import ModelInputs, Objective, OnIterate, Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 
 
 class JuliaEngine(Engine):
@@ -50,22 +49,38 @@ class JuliaEngine(Engine):
         vectors, passes = tuple(dict(parameters).values()), config.coupling_passes
         return Solution(*self._julia.call("predict", vectors, *inputs, passes, config))
 
-    def lbfgs(
-        self, objective: Objective, start: Array, memory: int, iterations: int, accept: OnIterate
-    ) -> None:
-        """Run Optim's ``LBFGS``."""
 
-        def evaluate(x: Any, result: Any) -> None:
-            array = result.to_numpy(copy=False)
-            array[0], array[1:] = objective(x.to_numpy())
+class ReferenceEngine(JuliaEngine):
+    """Engine whose flow stage the Julia libraries compute alone: the standard of the others.
 
-        def after_iteration(x: Any, loss: float) -> None:
-            accept(x.to_numpy(), float(loss))
+    Lux evaluates the network, Tsit5 steps with its own controller, ForwardDiff differentiates
+    the loss, and Optim's BFGS with a dense matrix minimizes it (``reference.jl``).  It has no
+    physics terms, and a fit takes hundreds of times longer.  The other stages are those of
+    :class:`JuliaEngine`.
+    """
 
-        self._julia.call("lbfgs", evaluate, start, memory, iterations, after_iteration)
+    name = "julia-reference"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.flow = JuliaStage(self._julia, "reference_flow")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a name, as :class:`JuliaEngine` does."""
+        return reference_engine, ()
+
+    def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:
+        """See :class:`pcnde_bridge.engines.protocol.Engine`."""
+        return predict_by_stages(self, parameters, inputs, config)
 
 
 @cache
 def julia_engine() -> JuliaEngine:
     """Return the process's Julia engine."""
     return JuliaEngine()
+
+
+@cache
+def reference_engine() -> ReferenceEngine:
+    """Return the process's reference engine."""
+    return ReferenceEngine()

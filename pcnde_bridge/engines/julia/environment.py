@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import tomllib
 from collections.abc import Mapping
@@ -30,13 +31,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pcnde_bridge.errors import EngineUnavailableError
+from pcnde_bridge.errors import EngineUnavailableError, FileError, InputError
 
 EXECUTABLE, PROJECT = "PYTHON_JULIACALL_EXE", "PYTHON_JULIACALL_PROJECT"
 SIGNALS, THREADS = "PYTHON_JULIACALL_HANDLE_SIGNALS", "PYTHON_JULIACALL_THREADS"
 
 _COMPUTING = ("PCNDECore", "PythonCall", "OrdinaryDiffEqTsit5", "Lux", "Optim")
 _OLDEST = "1.10.3"  # of juliacall
+_PARTS = "Project.toml", "src/**/*.jl", "ext/*.jl"  # of a Julia package
 _OWN = {"PYTHON_JULIACALL_STARTUP_FILE": "no", "PYTHON_JULIACALL_AUTOLOAD_IPYTHON_EXTENSION": "no"}
 _OF_JULIACALL = (  # variable, its key in the configuration of a running juliacall, and default
     (EXECUTABLE, "exepath", "julia"),
@@ -140,8 +142,55 @@ def julia_sources() -> Path:
 def how_to_prepare() -> str:
     """Return instructions for machines where juliapkg cannot install Julia."""
     return (
-        f"Prepare a project on a machine with network access ({_command('DIR')}), and name Julia "
-        f"and that project in {julia_settings_file()} or in {EXECUTABLE} and {PROJECT}."
+        "Prepare a project on a machine with network access (pcnde doctor --write-project DIR), "
+        f"and name Julia and that project in {julia_settings_file()} or in {EXECUTABLE} and "
+        f"{PROJECT}."
+    )
+
+
+def write_project(folder: Path) -> str:
+    """Write a Julia project with PCNDECore and the tested version of every other package.
+
+    Parameters
+    ----------
+    folder : Path
+        A new folder, or an empty one.
+
+    Returns
+    -------
+    str
+        Commands that install the packages, and the settings that select the project.
+
+    Raises
+    ------
+    InputError
+        If the folder contains something.
+    FileError
+        If it cannot be written.
+    """
+    sources = julia_sources()
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder} exists and is not an empty folder: name a new one.")
+        for part in _PARTS:
+            for file in sources.glob(part):
+                target = folder / sources.name / file.relative_to(sources)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, target)
+        shutil.copyfile(sources.parent / "tested_versions.toml", folder / "Project.toml")
+    except OSError as error:
+        raise FileError(f"The project cannot be written to {folder}: {error}.") from error
+    environment = {"JULIA_DEPOT_PATH": "/path/to/depot"}
+    named = {"executable": "/path/to/julia", "project": str(folder), "environment": environment}
+    return (
+        f"The project is in {folder}. Install its packages with Julia {_OLDEST} or newer, on a "
+        f"machine with network access:\n"
+        f"  cd {folder}\n"
+        "  julia --project=. -e 'using Pkg; Pkg.develop(path=\"PCNDECore\"); Pkg.precompile()'\n"
+        "Copy the folder and Julia's depot (by default ~/.julia) to the machine without network "
+        f"access, and write their paths there into {julia_settings_file()}:\n"
+        f"  {json.dumps(named)}\n"
+        "Then pcnde doctor --load compiles the packages there and reports errors."
     )
 
 
@@ -297,7 +346,7 @@ def _toml(file: Path) -> dict[str, Any]:
 
 def _contents(package: Path) -> dict[Path, bytes]:
     """Return the files of a Julia package that Julia runs."""
-    files = [*package.glob("Project.toml"), *package.glob("src/**/*.jl")]
+    files = [file for part in _PARTS for file in package.glob(part)]
     return {file.relative_to(package): file.read_bytes() for file in files}
 
 

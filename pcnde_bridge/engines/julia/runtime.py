@@ -58,6 +58,10 @@ class Julia:
         found = self.call("versions").items()
         self.versions = {str(name): str(version) for name, version in found}
         check_core(self.versions["PCNDECore"], "running", project)
+        try:
+            self.call("self_check")
+        except EngineError as error:
+            raise EngineUnavailableError(f"{error} {how_to_prepare()}") from error
         self._config = functools.lru_cache(maxsize=64)(self._new_config)
         self.problem: object = None
 
