@@ -296,7 +296,7 @@ def test_pcnde_figures_with_workers(run_pcnde, files, without_pictures, monkeypa
         made.append(workers)
         return ThreadPoolExecutor(workers)
 
-    monkeypatch.setattr("pcnde_bridge.cli.predict.processes", pool)
+    monkeypatch.setattr("pcnde_bridge._utils.parallel.processes", pool)
     noise = ("figures", files / "model.npz", files / "cases.npz", "--only", "noise-inflow")
     assert run_pcnde(*noise, "--out", files / "one")[0] == 0
     assert made == []
