@@ -59,10 +59,11 @@ RADIUS = np.sqrt(0.125 / np.pi)
 MEMBRANE = np.array([1.0e6, 0.45, 0.2, 1.0, 2.0e3])
 LOSSES = np.array([1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7])
 OUTLET = np.array([1.0e5, 0.0, 0.0, 5.0e3])
+SHEAR = np.array([0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8])
 # κ, ceiling and two scales, then the network's weights: g = 0, and g between 0 and 0.8.
 OFF = np.concatenate([[1.3, 0.0, 1.0e6, 1.0], np.zeros(17)])
 ON = np.concatenate([[1.3, 0.8, 1.0e6, 1.0], np.random.default_rng(5).normal(size=17)])
-PASSIVE = ClosureParameters(OUTLET, LOSSES, MEMBRANE, OFF)
+PASSIVE = ClosureParameters(OUTLET, LOSSES, MEMBRANE, OFF, SHEAR)
 CORRECTED = PASSIVE.replace(correction=ON)
 
 GEOMETRY, WAVEFORM = (a.ravel() for a in np.meshgrid(range(4), range(4), indexing="ij"))
@@ -93,7 +94,9 @@ def solve(parameters=PASSIVE, inflow=INFLOW, area=AREA, grid=GRID, config=CONFIG
 
 def as_cases(solution):
     labels = {"geometry": GEOMETRY + 1, "waveform": WAVEFORM}
-    return Cases(*solution[:3], AREA, TIME, Z, period=1.0, labels=labels)
+    flow, area, pressure, *shear = solution
+    given = {"wall_shear_stress": shear[0]} if shear else {}
+    return Cases(flow, area, pressure, AREA, TIME, Z, period=1.0, labels=labels, **given)
 
 
 def made_by_the_closures(parameters=CORRECTED):

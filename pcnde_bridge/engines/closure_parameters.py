@@ -4,6 +4,8 @@
 ``outlet``                R₁, R₂ (dyn·s/cm⁵), C (cm⁵/dyn), p_d (dyn/cm²)
 ``losses``                c_f, c_i, c_c, c_g, β, c_j, c_s, s, s_ν, λ: see
                           :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`
+``wall_shear_stress``     c₀ to c₈: see
+                          :mod:`pcnde_bridge.engines.jax.closures.wall_shear_stress`
 ``wall``                  membrane: K (dyn/cm), ν, shear ratio, support (1/cm²), p₀;
                           tube law: K (dyn/cm²), exponent m, p₀ (dyn/cm²)
 ``correction``            κ, ceiling c, scale of ∂p/∂t (dyn/cm²/s), scale of Q (mL/s), then the
@@ -13,18 +15,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.engines.parameters import ParameterVectors, network_size
 from pcnde_bridge.errors import InputError
 
-CLOSURES = ("outlet", "losses", "wall", "correction")
+CLOSURES = ("outlet", "losses", "wall", "wall_shear_stress", "correction")
 """Names of the closures, in the order in which they are fitted."""
 
 CORRECTION_SCALARS = 4
 """Count of numbers before the network's weights: κ, the ceiling and two scales."""
+
+WALL_SHEAR_STRESS = np.array([0.64, 0.075, 0.125, 0.165, 0.33, 0.12, 0.78, 1.42, 0.84])
+"""Parameters of the wall shear stress without measured values: those of the 81 training cases of
+the paper's split of the published data."""
 
 
 def sizes(config: ClosureConfig) -> dict[str, int]:
@@ -42,6 +50,7 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
         "outlet": 4,
         "losses": 10,
         "wall": 5 if config.wall.law == "membrane" else 3,
+        "wall_shear_stress": WALL_SHEAR_STRESS.size,
         "correction": CORRECTION_SCALARS + network_size(widths),
     }
 
@@ -52,7 +61,7 @@ class ClosureParameters(ParameterVectors):
 
     Attributes
     ----------
-    outlet, losses, wall, correction : arrays
+    outlet, losses, wall, correction, wall_shear_stress : arrays
         Read-only vectors; this module's docstring describes their layout.
     """
 
@@ -60,6 +69,7 @@ class ClosureParameters(ParameterVectors):
     losses: Array
     wall: Array
     correction: Array
+    wall_shear_stress: Array = field(default_factory=lambda: WALL_SHEAR_STRESS)
 
     @property
     def has_pressure(self) -> bool:

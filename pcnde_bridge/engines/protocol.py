@@ -170,6 +170,31 @@ class Closures(Protocol):
             Maps the parameters ``correction`` to Q, mL/s, (case, time, point).
         """
 
+    def wall_shear_stress(
+        self,
+        others: ClosureParameters,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Problem:
+        """Prepare the wall shear stress of a given flow.
+
+        Parameters
+        ----------
+        others : ClosureParameters
+            Parameters of losses and wall; the others are ignored.
+        flow, flow_rate : arrays of shape (case, time, z)
+            Q, mL/s, and ∂Q/∂t, mL/s², at any time points.
+
+        Returns
+        -------
+        callable
+            Maps the parameters ``wall_shear_stress`` to the wall shear stress in the direction
+            of z, dyn/cm², (case, time, z): a linear function.
+        """
+
     def predict(
         self,
         parameters: ClosureParameters,
@@ -177,7 +202,7 @@ class Closures(Protocol):
         inputs: ModelInputs,
         config: ClosureConfig,
     ) -> Solution:
-        """Predict flow, area and pressure.
+        """Predict flow, area, pressure and the magnitude of the wall shear stress.
 
         Parameters
         ----------

@@ -17,7 +17,12 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, values_at
-from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
+from pcnde_bridge.engines.closure_parameters import (
+    CORRECTION_SCALARS,
+    WALL_SHEAR_STRESS,
+    ClosureParameters,
+    sizes,
+)
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
 from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
@@ -31,6 +36,12 @@ _DROP_WEIGHT = 10.0
 
 _FLOW_POINTS = 5
 """Points, beside the inlet, on which the flow is compared: it is smooth along the vessel."""
+
+_SHEAR_PENALTY = 1e-3
+"""Penalty of a change of the wall shear stress's parameters, relative to the term's square."""
+
+_SIGN_CHANGES = 30
+"""Largest number of fits of the wall shear stress, each with the signs of the fit before."""
 
 _LOSS_TOLERANCE = 1e-4
 """Relative decrease of the loss below which a fit ends."""
@@ -132,8 +143,8 @@ def fit_losses(
 ) -> Fit:
     """Fit the losses to p − p(L) and to the drop across the stenosis, with the reference flow."""
     times = _few_times(cases)
-    flow_rate = np.moveaxis(rate(np.moveaxis(cases.flow, 1, -1), cases.period), -1, 1)[:, times]
     flow, pressure = cases.flow[:, times], cases.pressure[:, times]
+    flow_rate = _flow_rate(cases)[:, times]
     problem = closures.losses(flow, flow_rate, cases.area_undeformed, cases.grid, config)
     target = pressure - pressure[:, :, -1:]
     along_vessel = _relative(problem, target, float(np.linalg.norm(target)))
@@ -182,6 +193,37 @@ def fit_wall(
     given = [getattr(config.wall, name) for name in parameters]
     evaluations = config.correction.evaluations
     return _solve(residual, list(parameters.values()), given, evaluations, on_iteration)
+
+
+def fit_wall_shear_stress(
+    closures: Closures, others: ClosureParameters, cases: Cases, config: ClosureConfig
+) -> Array:
+    """Fit the wall shear stress, with the reference flow, or return the start if there is none.
+
+    The data may hold the magnitude, so the sign of each value is that of the fit before.
+    """
+    start = WALL_SHEAR_STRESS
+    if cases.wall_shear_stress is None:
+        return start
+    times = _few_times(cases)
+    flow, flow_rate = cases.flow[:, times], _flow_rate(cases)[:, times]
+    others = others.replace(wall_shear_stress=start)
+    problem = closures.wall_shear_stress(
+        others, flow, flow_rate, cases.area_undeformed, cases.grid, config
+    )
+    value, slope = problem(start)
+    value, slope = value.ravel(), slope.reshape(-1, start.size)
+    target = np.abs(cases.wall_shear_stress[:, times]).ravel()
+    gram = slope.T @ slope
+    penalized = gram + _SHEAR_PENALTY * np.diag(gram.diagonal())
+    change, sign = np.zeros_like(start), np.zeros_like(value)
+    for _ in range(_SIGN_CHANGES):
+        previous, sign = sign, np.sign(value + slope @ change)
+        if np.array_equal(sign, previous):
+            break
+        # The penalty draws towards the start; a term that is zero in all cases stays there.
+        change = np.linalg.lstsq(penalized, slope.T @ (sign * target - value), rcond=None)[0]
+    return start + change
 
 
 def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generator) -> Array:
@@ -269,6 +311,11 @@ def fit_correction(
 def _few_times(cases: Cases) -> IntArray:
     """Return the time points on which losses and wall are fitted."""
     return np.unique(np.linspace(0, cases.n_times - 1, _TIMES).astype(int))
+
+
+def _flow_rate(cases: Cases) -> Array:
+    """Return ∂Q/∂t, mL/s², of shape (case, time, z)."""
+    return np.moveaxis(rate(np.moveaxis(cases.flow, 1, -1), cases.period), -1, 1)
 
 
 def _relative(problem: Problem, target: Array, scale: float) -> Problem:

@@ -105,6 +105,9 @@ class ClosureTraining(Procedure[ClosureState]):
         name, weight = step.task, np.ones(len(cases))
         if name == "outlet":
             return _with(state, name, closure_fit.fit_outlet(cases, config))
+        if name == "wall_shear_stress":
+            fitted = closure_fit.fit_wall_shear_stress(closures, state.parameters, cases, config)
+            return _with(state, name, fitted)
         if name != "correction":
             fit_closure = {"losses": closure_fit.fit_losses, "wall": closure_fit.fit_wall}[name]
             optimize = partial(fit_closure, closures, cases, config)
@@ -117,8 +120,8 @@ class ClosureTraining(Procedure[ClosureState]):
             name = f"member_{step.epoch - 2}"
             first, evaluations = state.vectors["correction"], self._few
             weight[self.left_out[step.epoch - 2]] = 0
-        fitted = state.parameters, cases, config, first, weight, evaluations
-        optimize = partial(closure_fit.fit_correction, closures, *fitted)
+        given = state.parameters, cases, config, first, weight, evaluations
+        optimize = partial(closure_fit.fit_correction, closures, *given)
         return _with(state, name, recorder.run("correction", step.epoch, 1, optimize))
 
     def finish(self, state: ClosureState) -> ClosureState:

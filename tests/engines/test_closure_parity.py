@@ -13,6 +13,7 @@ from helpers import (
     LOSSES,
     MEMBRANE,
     ON,
+    SHEAR,
     VESSELS,
     vessel,
     waveforms,
@@ -81,6 +82,16 @@ def test_losses(both, solution, spread):
 def test_walls(both, solution, config, parameters):
     problems = [c.area(solution.pressure, AREA, GRID, config) for c in both]
     assert_same_problems(problems, parameters)
+
+
+def test_wall_shear_stress(both, solution):
+    """Of two jets among the others, and of reversed flow."""
+    area = AREA.copy()
+    area[5] = vessel(1.0, 2.7)
+    flow_rate = np.gradient(solution.flow, GRID.time, axis=1)
+    given = CORRECTED, solution.flow[:, ::3], flow_rate[:, ::3], area, GRID, CONFIG
+    problems = [c.wall_shear_stress(*given) for c in both]
+    assert_same_problems(problems, SHEAR)
 
 
 @pytest.mark.parametrize("others", [CORRECTED, WINDKESSEL])

@@ -684,7 +684,8 @@ def test_reversing_flow_changes_nothing_for_the_cases_beside_it(corrected):
 
 
 def test_parameters_have_the_lengths_that_the_configuration_needs():
-    assert sizes(CONFIG) == {"outlet": 4, "losses": 10, "wall": 5, "correction": 4 + 17}
+    counts = {"outlet": 4, "losses": 10, "wall": 5, "wall_shear_stress": 9, "correction": 4 + 17}
+    assert sizes(CONFIG) == counts
     deeper = CONFIG.replace(wall={"law": "local"}, correction={"hidden": (3, 2)})
     assert (sizes(deeper)["wall"], sizes(deeper)["correction"]) == (3, 4 + 9 + 8 + 3)
     PASSIVE.check(CONFIG)

@@ -132,6 +132,15 @@ def closure_grid(closures, refinement=1):
     return Grid(np.arange(32) * period / 32, z, period)
 
 
+def closure_flow(closures, grid):
+    """Return the flow of the losses and its rate, (case, time, z)."""
+    share = grid.z / 4 + np.sin(np.pi * grid.z / 4) / 10
+    flow = closures["losses_inflow"][:, :, None] - share * closures["losses_stored"][:, :, None]
+    # The cases have no harmonic of alternating signs.
+    i_omega = 2j * np.pi * np.fft.rfftfreq(32, grid.period / 32)
+    return flow, np.fft.irfft(i_omega[:, None] * np.fft.rfft(flow, axis=1), n=32, axis=1)
+
+
 def vessels(closures, z):
     area, throat, width = closures["geometry"]
     bump = np.exp(-(((z - throat) / width) ** 2))
@@ -151,14 +160,23 @@ def vessels(closures, z):
 )
 def test_pressure_losses(engine, closures, refinement, parameters, name, tolerance):
     grid = closure_grid(closures, refinement)
-    share = grid.z / 4 + np.sin(np.pi * grid.z / 4) / 10
-    flow = closures["losses_inflow"][:, :, None] - share * closures["losses_stored"][:, :, None]
-    # The cases have no harmonic of alternating signs.
-    i_omega = 2j * np.pi * np.fft.rfftfreq(32, grid.period / 32)
-    flow_rate = np.fft.irfft(i_omega[:, None] * np.fft.rfft(flow, axis=1), n=32, axis=1)
+    flow, flow_rate = closure_flow(closures, grid)
     problem = engine.closures.losses(flow, flow_rate, vessels(closures, grid.z), grid, MEMBRANE)
     found, _ = problem(closures[f"parameters_{parameters}"])
     assert_near(found[:, :, ::refinement], closures[name], tolerance)
+
+
+def test_wall_shear_stress(engine, closures):
+    grid = closure_grid(closures)
+    flow, flow_rate = closure_flow(closures, grid)
+    parameters = ClosureParameters(
+        np.ones(4), closures["parameters_losses"], closures["parameters_wall"], np.zeros(25)
+    )
+    given = flow, flow_rate, vessels(closures, grid.z)
+    problem = engine.closures.wall_shear_stress(parameters, *given, grid, MEMBRANE)
+    found, _ = problem(closures["parameters_shear"])
+    # The engines take two steps of second order in each interval for the layer: 6e-4.
+    assert_near(found, closures["shear_on_grid"], 2e-3)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 Equations: docs/closures.md.  Wall and losses are solved without any grid, as a boundary
 value problem and as initial value problems with Gauss's quadrature, and again on the grid.
 There S_u changes by a constant factor per length in each interval, the friction follows the
-trapezoidal rule and the jet grows by Euler's; the layer's equation is solved exactly.  The
+trapezoidal rule, and layer, jet and the wall shear stress's memory are solved exactly.  The
 coupled prediction uses the grid's points and time points, but none of the engines'
 simplifications: areas follow from the whole displacement, and losses from the flow and its
 rate at every point.
@@ -33,6 +33,7 @@ LOSSES = np.array([1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.04, 2.0, 0.7])
 # Friction jumps where a flow separates; without it the grid's errors are smaller.
 FRICTIONLESS = LOSSES * [0, 1, 1, 1, 1, 1, 0, 1, 1, 1]
 SCALES_PRESSURE = np.array([1, 1, 1, 0, 0, 1, 1, 0, 0, 1], dtype=bool)
+SHEAR = np.array([0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8])
 REYNOLDS, FLOWS = 60.0, np.array([0.5, 2.0, 8.0])
 MEMBRANE = np.array([1.0e6, 0.45, 0.2, 1.0, 2.0e3])
 LOCAL = np.array([1.0e6, 0.5, 2.0e3])
@@ -312,21 +313,28 @@ def layer_on_grid(s, viscosity, p):
     return np.array(thickness)
 
 
+def jet_on_grid(s, viscosity, p):
+    """Return the area of the jet, and whether the flow fills the vessel."""
+    h, rate = Z[1] - Z[0], p.viscous_spread * viscosity
+    filled_area = s / p.momentum
+    area, is_filled = filled_area.copy(), np.ones(N_POINTS, dtype=bool)
+    for i in range(1, N_POINTS):
+        r = np.sqrt(area[i - 1] / np.pi)
+        grown = np.pi * (r * np.exp(rate * h) + p.spread * np.expm1(rate * h) / rate) ** 2
+        if grown < filled_area[i]:
+            area[i], is_filled[i] = grown, False
+    return area, is_filled
+
+
 def interval_drops(s, flow, p):
     """Drop and lag of a flow towards larger z in each interval."""
     h, viscosity = Z[1] - Z[0], np.pi * VISCOSITY / DENSITY / flow
     d = layer_on_grid(s, viscosity, p)
-    filled_area = s / p.momentum
-    area, is_filled = filled_area.copy(), np.ones(N_POINTS, dtype=bool)
-    volume = np.zeros(N_POINTS)
-    for i in range(1, N_POINTS):
-        r = np.sqrt(area[i - 1] / np.pi)
-        rate = p.viscous_spread * viscosity
-        grown = np.pi * (r * np.exp(rate * h) + p.spread * np.expm1(rate * h) / rate) ** 2
-        if grown < filled_area[i]:
-            before = 0.0 if is_filled[i - 1] else area[i - 1]
-            area[i], is_filled[i] = grown, False
-            volume[i] = volume[i - 1] + h * (before + grown) / 2
+    area, is_filled = jet_on_grid(s, viscosity, p)
+    filled_area, volume = s / p.momentum, np.zeros(N_POINTS)
+    for i in np.flatnonzero(~is_filled):
+        before = 0.0 if is_filled[i - 1] else area[i - 1]
+        volume[i] = volume[i - 1] + h * (before + area[i]) / 2
     speed = flow / (s * mean_speed(d)[0])
     attached = p.friction * 4 * np.pi * VISCOSITY * speed * d**6 / s
     separated = p.jet_friction * 8 * np.pi * VISCOSITY * flow / s**2
@@ -362,6 +370,70 @@ def grid_losses(blockage, loss):
         return until[:, -1:] - until
 
     return drop
+
+
+# ---- wall shear stress ---------------------------------------------------------------
+
+
+def relaxed(source, length):
+    """Solve y' = (source − y)/length, with the source linear in each interval."""
+    y = [0.0]
+    for i, h in enumerate(np.diff(Z)):
+        middle = (length[i] + length[i + 1]) / 2
+
+        def slope(x, y, i=i, h=h, middle=middle):
+            return (source[i] + x / h * (source[i + 1] - source[i]) - y) / middle
+
+        y.append(solve_ivp(slope, (0, h), y[-1:], **EXACT).y[0, -1])
+    return np.array(y)
+
+
+def near_root(x):
+    return np.where(x > 0, x / np.sqrt(np.abs(x) + 0.3), 0)
+
+
+def marched_shear(s, flow, p):
+    """Poiseuille's wall shear stress of a flow towards larger z, times 1 and eight terms."""
+    h, nu, r, mean = Z[1] - Z[0], VISCOSITY / DENSITY, np.sqrt(s / np.pi), flow / s
+    d = layer_on_grid(s, np.pi * nu / flow, p)
+    excess = s / (p.momentum * jet_on_grid(s, np.pi * nu / flow, p)[0])
+    core, bend, slope = mean / mean_speed(d)[0], np.zeros(N_POINTS), np.zeros(N_POINTS)
+    bend[1:-1] = np.diff(core, 2) / h**2
+    edge = core - 0.8 * r**2 / 8 * bend
+    slope[1:-1] = (edge[2:] - edge[:-2]) / (2 * h)
+    shear, pohlhausen = edge / (2 * mean * d), (r * d) ** 2 * slope / nu
+    up = np.where(pohlhausen > 0, pohlhausen, 0)
+    near = 0.005 * (r * d) ** 2 * core / nu
+    both, first, second = relaxed(pohlhausen, near), relaxed(up, near), relaxed(up, 0.3 * r)
+    third, fifth = relaxed(up, 0.6 * r), relaxed(pohlhausen, 1.2 * r)
+    jet = relaxed(near_root(excess - 1), 0.08 * r**2 * mean / nu)
+    terms = [
+        np.ones(N_POINTS),
+        shear * near_root(both),
+        near_root(first),
+        shear * near_root(second),
+        -d * near_root(third),
+        near_root(-fifth),
+        -d * np.tanh(np.where(both < 0, -both, 0) / 20),
+        -np.log(excess),
+        -jet,
+    ]
+    return 4 * VISCOSITY * flow / (np.pi * r**3) * np.array(terms)
+
+
+def grid_shear(flow, blockage, loss):
+    """Wall shear stress of a flow (time, z) on the grid, forward or backward throughout."""
+    p, s, q_0 = Losses(*loss), area_undeformed(Z, blockage), reference_flow(blockage)
+    sign = int(np.sign(flow[0, 0]))
+    assert (sign * flow > 0).all()
+    parameters = np.concatenate([[1.0], SHEAR[1:]])
+    steady = [parameters @ marched_shear(s[::sign], x * q_0, p) for x in FLOWS]
+    factors = np.linalg.solve(basis(FLOWS).T, steady)[:, ::sign]
+    unsteady = SHEAR[0] * DENSITY / (6 * np.sqrt(np.pi * s)) * rate(flow)
+    return sign * np.einsum("iz,itz->tz", factors, basis(sign * flow / q_0)) + unsteady
+
+
+# ---- correction ----------------------------------------------------------------------
 
 
 def hidden_share(correction, pressure_rate, flow, shift):
@@ -432,6 +504,9 @@ def compute():
     outputs["losses_on_grid"] = np.array(
         [grid_losses(b, LOSSES)(q) for q, b in zip(flows, BLOCKAGES, strict=True)]
     )
+    outputs["shear_on_grid"] = np.array(
+        [grid_shear(q, b, LOSSES) for q, b in zip(flows, BLOCKAGES, strict=True)]
+    )
     on_grid = np.array([in_time @ loads @ membrane_matrix(b).T for b in BLOCKAGES])
     outputs["membrane_area_on_grid"] = np.pi * (r[:, None] + on_grid) ** 2
     weak = np.where(SCALES_PRESSURE, 1e-4 * LOSSES, LOSSES)
@@ -450,6 +525,7 @@ def compute():
         "parameters_frictionless": FRICTIONLESS,
         "parameters_weak_losses": weak,
         "parameters_wall": MEMBRANE,
+        "parameters_shear": SHEAR,
         "parameters_local": LOCAL,
         "parameters_correction": correction,
         "inflow": inflow,

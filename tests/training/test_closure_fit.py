@@ -13,15 +13,17 @@ from helpers import (
     MEMBRANE,
     OUTLET,
     PASSIVE,
+    SHEAR,
     as_cases,
     solve,
 )
 
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.engines import select_engine
-from pcnde_bridge.engines.closure_parameters import sizes
+from pcnde_bridge.engines.closure_parameters import WALL_SHEAR_STRESS, sizes
 from pcnde_bridge.engines.shared_terms import rate
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.training import closure_fit as fit
 from pcnde_bridge.training.closure_training import ClosureTraining
 
@@ -103,6 +105,29 @@ def test_membrane_with_given_zero_pressure_is_found(cases, closures):
     assert found[4] == 2e3
     given = CONFIG.replace(wall={"stiffness": 1.1e6, "poisson": 0.4})
     assert tuple(fit.fit_wall(closures, cases, given).parameters[:2]) == (1.1e6, 0.4)
+
+
+def error_of_the_shear(cases, found):
+    """Relative error of the magnitude for some parameters of the wall shear stress."""
+    parameters = PASSIVE.replace(wall_shear_stress=found)
+    predicted = solve(parameters, cases.inflow).wall_shear_stress
+    return relative_error(predicted, cases.wall_shear_stress)
+
+
+def test_wall_shear_stress_is_found_from_its_magnitude(cases, closures):
+    assert cases.wall_shear_stress.min() >= 0
+    start = error_of_the_shear(cases, WALL_SHEAR_STRESS)
+    others = PASSIVE.replace(wall_shear_stress=np.empty(0))
+    found = fit.fit_wall_shear_stress(closures, others, cases, CONFIG)
+    assert start > 0.1
+    assert error_of_the_shear(cases, found) < 0.01
+    assert found[0] == pytest.approx(SHEAR[0], rel=0.05)
+
+
+def test_parameters_without_a_wall_shear_stress_are_the_start(cases, closures):
+    without = as_cases((cases.flow, cases.area, cases.pressure))
+    found = fit.fit_wall_shear_stress(closures, PASSIVE, without, CONFIG)
+    assert np.array_equal(found, WALL_SHEAR_STRESS)
 
 
 @pytest.fixture(scope="module")

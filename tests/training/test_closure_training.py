@@ -65,7 +65,7 @@ def records(physics_records):
 def test_what_the_closures_made_is_learnt(model, cases):
     errors = model.evaluate(cases).iloc[-1]
     # A few evaluations; a passive tube alone leaves 1e-2 of the flow.
-    limits = pd.Series({"flow": 1e-3, "area": 5e-4, "pressure": 1e-3})
+    limits = pd.Series({"flow": 1e-3, "area": 5e-4, "pressure": 1e-3, "wall_shear_stress": 0.02})
     assert (errors[limits.index] < limits).all()
     assert model.config == PHYSICS_CONFIG.replace(wall={"law": "membrane"})
     assert model.parameters.outlet == pytest.approx(CORRECTED.outlet, rel=1e-3)
@@ -277,3 +277,5 @@ def test_published_cases_are_met_within_the_limits(published_cases):
     assert errors["flow"] <= 0.0055
     assert errors["area"] <= 0.0025
     assert errors["pressure"] <= 0.0065
+    assert errors["wall_shear_stress"] <= 0.08
+    assert errors["time_averaged_wall_shear_stress"] <= 0.06

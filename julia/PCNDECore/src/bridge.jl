@@ -167,7 +167,7 @@ end
 
 # Arguments
 
-  - `name`: `"losses"`, `"area"` or `"flow"`.
+  - `name`: `"losses"`, `"area"`, `"wall_shear_stress"` or `"flow"`.
   - `inputs`: arrays in the order of the Python package's `engines.protocol`; indices of
     points start at 0.
   - `z`, `period`: points, cm, and cycle length, s.
@@ -178,6 +178,8 @@ function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
         return value_and_jacobian(LossesClosure(inputs..., z, config), θ)
     elseif name == "area"
         return value_and_jacobian(AreaClosure(inputs..., z, config), θ)
+    elseif name == "wall_shear_stress"
+        return value_and_jacobian(ShearClosure(inputs..., z, config), θ)
     elseif name == "flow"
         others..., points = inputs
         return value_and_jacobian(
@@ -201,11 +203,11 @@ function predict_closures(config::ClosureConfig, period::Float64, numbers::Int..
         position += 1 + dimensions
         return wrap_python_array(address, shape...)
     end
-    flow, area, pressure = next(3), next(3), next(3)
-    parameters = next(1), next(1), next(1), next(1)
+    fields = next(3), next(3), next(3), next(3)
+    parameters = next(1), next(1), next(1), next(1), next(1)
     shift, inflow, area_undeformed, z = next(1), next(2), next(2), next(1)
     return predict_closures!(
-        flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period, config,
+        fields..., parameters, shift, inflow, area_undeformed, z, period, config,
     )
 end
 

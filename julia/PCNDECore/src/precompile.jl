@@ -29,6 +29,7 @@
     closures = (
         [1e5, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.3, 1.3, 1.2, 1.2, 0.01, 3.5, 0.7],
         [1e6, 0.45, 0.2, 1.0, 0.0], [1.0, 0.1, 1e6, 1.0, 0.0, 0.0, -4.0],
+        fill(0.1, N_SHEAR),
     )
     pressure, points = 1e5 .* flow, [1.0, 6.0]
     @compile_workload begin
@@ -66,9 +67,11 @@
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
         closure("losses", closures[2], (flow, zero(flow), area_undeformed), z, 1.0, chosen)
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
+        sheared = (closures[2], flow, zero(flow), area_undeformed)
+        closure("wall_shear_stress", closures[5], sheared, z, 1.0, chosen)
         coupled = (closures[1:3]..., inflow, area_undeformed, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)
-        results = similar(flow), similar(flow), similar(flow)
+        results = ntuple(_ -> similar(flow), 4)
         arrays = results..., closures..., zeros(n_cases), inflow, area_undeformed, z
         GC.@preserve arrays begin
             numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)

@@ -21,9 +21,9 @@
 end
 
 @testset "predictions in place" begin
-    vectors = outlet, losses, wall, correction
+    vectors = outlet, losses, wall, correction, shear
     given = zeros(n_cases), data.inflow, data.area_undeformed, z
-    expected, result = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:3) for _ in 1:2)
+    expected, result = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:4) for _ in 1:2)
     PCNDECore.predict_closures!(expected..., vectors, given..., 1.0, with_hidden)
     arrays = result..., vectors..., given...
     GC.@preserve arrays begin

@@ -7,15 +7,16 @@ using PCNDECore.ForwardDiff: derivative
 const outlet = [1e5, 0.0, 0.0, 5e3]
 const losses = [1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7]
 const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
+const shear = [0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8]
 const correction = [1.3; 0.8; 1e6; 1.0; randn(MersenneTwister(5), 17)]
 const with_hidden = ClosureConfig(correction = CorrectionClosure(hidden = [4]))
 function predicted(
     θ = correction;
     cases = 1:n_cases, config = with_hidden, law = outlet, tube = wall, period = 1.0,
 )
-    results = ntuple(_ -> Array{Float64}(undef, n_points, n_times, length(cases)), 3)
+    results = ntuple(_ -> Array{Float64}(undef, n_points, n_times, length(cases)), 4)
     inputs = data.inflow[:, cases], data.area_undeformed[:, cases]
-    parameters, shift = (law, losses, tube, θ), zeros(length(cases))
+    parameters, shift = (law, losses, tube, θ, shear), zeros(length(cases))
     predict_closures!(results..., parameters, shift, inputs..., z, period, config)
     return results
 end
@@ -103,6 +104,25 @@ end
     @test jet_area(s_u, z, 1.25, 1e3, 0.0) == s_u ./ 1.25
 end
 
+@testset "wall shear stress" begin
+    s_u = [0.125 * (1 - 0.6 * exp(-((x - 2) / (x < 2 ? 0.9 : 0.3))^2)) for x in z]
+    flow = repeat([1.0 -1.0 0.5], n_points)
+    given = reshape(flow, n_points, 3, 1), fill(4.0, n_points, 3, 1)
+    function stress(area, (q, q_rate))
+        inputs = losses, q, q_rate, reshape(area, :, 1)
+        value, jacobian = closure("wall_shear_stress", shear, inputs, z, 1.0, ClosureConfig())
+        none, _ = closure("wall_shear_stress", zero(shear), inputs, z, 1.0, ClosureConfig())
+        @test value ≈ none .+ sum(shear .* jacobian; dims = 1)[1, :, :, :]
+        return value[:, :, 1]
+    end
+    radius = sqrt(0.125 / π)
+    expected = 0.16 .* flow ./ (π * radius^3) .+ 0.6 * 1.06 / (6π * radius) * 4
+    @test stress(fill(0.125, n_points), given) ≈ expected
+    there, back = stress(s_u, given), stress(reverse(s_u), map(.-, given))
+    @test there ≈ -reverse(back; dims = 1) rtol = 1e-10
+    @test maximum(there[:, 1]) > 1.5 * maximum(0.16 .* flow[:, 1] ./ sqrt.(s_u .^ 3 ./ π))
+end
+
 @testset "losses" begin
     steady, none = ones(n_points, 1), zeros(n_points, 1)
     drop(c, flow, rate = none) = pressure_drop!(similar(none), c, flow, rate, z)
@@ -170,7 +190,7 @@ end
 end
 
 @testset "all coupled" begin
-    flow, area, pressure = predicted()
+    flow, area, pressure, stress = predicted()
     @test flow[1, :, :] == data.inflow
     # Continuity: inflow minus outflow is κ·(1 − g) times the rate of the volume.
     passive, area_0, pressure_0 = predicted([1.3; 0.0; 1e6; 1.0; zeros(17)])
@@ -183,15 +203,15 @@ end
         @test lost ≈ 1.3 .* time_derivative(harmonics, stored) rtol = 0.05
     end
     @test maximum(abs, flow .- passive) > 1e-3
-    @test all(predicted(cases = 2:2) .== map(a -> a[:, :, 2:2], (flow, area, pressure)))
+    @test all(predicted(cases = 2:2) .== map(a -> a[:, :, 2:2], (flow, area, pressure, stress)))
     # Cached data of the last prediction is not used for another model.
     @test maximum(abs, predicted(tube = [2e6; wall[2:end]])[2] .- area) > 1e-4
     @test maximum(abs, predicted(period = 0.5)[1] .- flow) > 1e-3
-    @test predicted() == (flow, area, pressure)
+    @test predicted() == (flow, area, pressure, stress)
     # Outlets with and without a dependence on frequency are computed in two ways.
     for compliance in (0.0, 1e-17)
         same = predicted(law = [4e4, 6e4, compliance, 5e3])
-        @test all(isapprox.(same, (flow, area, pressure); rtol = 1e-11))
+        @test all(isapprox.(same, (flow, area, pressure, stress); rtol = 1e-11))
     end
     delayed = predicted(law = [4e4, 6e4, 1e-6, 5e3])
     @test maximum(abs, delayed[1] .- flow) > 1e-3

@@ -59,6 +59,19 @@ class JuliaClosures(Closures):
         fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, points
         return self._problem("flow", fixed, grid, config)
 
+    def wall_shear_stress(
+        self,
+        others: ClosureParameters,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Problem:
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        given = others.losses, flow, flow_rate, area_undeformed
+        return self._problem("wall_shear_stress", given, grid, config)
+
     def predict(
         self,
         parameters: ClosureParameters,
@@ -69,7 +82,7 @@ class JuliaClosures(Closures):
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
         shape = *inflow.shape, grid.z.size
-        result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
+        result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
         given = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
         # Referenced here, because Julia uses their memory until it returns.
         outputs = [field for field in result if field is not None]

@@ -112,6 +112,48 @@ function (closure::AreaClosure)(parameters::Vector{T}) where {T}
 end
 
 """
+    ShearClosure(losses, flow, flow_rate, area_undeformed, z, config)
+
+Wall shear stress in the direction of z, dyn/cm², (z, time, case), of a known flow and its
+derivative ∂Q/∂t, as a function of its parameters. `losses` are the parameters of the losses.
+"""
+struct ShearClosure
+    flow::Array{Float64, 3}
+    flow_rate::Array{Float64, 3}
+    terms::Vector{ShearTerms}
+    reference_flow::Vector{Float64}
+    vessel_of::Vector{Int}
+end
+
+function ShearClosure(losses, flow, flow_rate, area_undeformed, z, config::ClosureConfig)
+    areas = collect.(eachcol(area_undeformed))
+    vessels = unique(areas)
+    momentum = LossParameters(losses).jet_momentum
+    coefficients = [LossCoefficients(losses, s_u, z, config.physics) for s_u in vessels]
+    terms = [
+        ShearTerms(c, momentum, s_u, z, config.physics) for
+        (c, s_u) in zip(coefficients, vessels)
+    ]
+    reference_flow = [c.reference_flow for c in coefficients]
+    return ShearClosure(flow, flow_rate, terms, reference_flow, indexin(areas, vessels))
+end
+
+function (closure::ShearClosure)(parameters::Vector{T}) where {T}
+    (; flow, flow_rate, terms, reference_flow, vessel_of) = closure
+    stress = similar(flow, T)
+    threaded_batches(size(flow, 3)) do batches
+        for batch in batches, case in batch
+            vessel = vessel_of[case]
+            @views wall_shear_stress!(
+                stress[:, :, case], parameters, terms[vessel], reference_flow[vessel],
+                flow[:, :, case], flow_rate[:, :, case],
+            )
+        end
+    end
+    return stress
+end
+
+"""
     FlowClosure(outlet, losses, wall, inflow, area_undeformed, points, z, period, config)
 
 Q, mL/s, (point, time, case), of the coupled equations, as a function of the parameters of the
@@ -130,7 +172,7 @@ end
 function FlowClosure(
     outlet, losses, wall, inflow, area_undeformed, points, z, period, config::ClosureConfig,
 )
-    vessels = VesselCache(wall, losses, z, config)
+    vessels = VesselCache(wall, losses, zeros(N_SHEAR), z, config)
     harmonics = Harmonics(size(inflow, 1), period)
     return FlowClosure(
         OutletLaw(outlet, size(inflow, 1), period),
@@ -164,7 +206,7 @@ function (closure::FlowClosure)(parameters::Vector{T}) where {T}
 end
 
 """
-    VesselCache(wall, losses, z, config)
+    VesselCache(wall, losses, shear, z, config)
 
 Function that returns the [`VesselModes`](@ref) of a vessel, S_u (z), and caches them: many
 waveforms usually share few vessels. Threads may share it.
@@ -172,25 +214,27 @@ waveforms usually share few vessels. Threads may share it.
 struct VesselCache
     wall::Vector{Float64}
     losses::Vector{Float64}
+    shear::Vector{Float64}
     z::Vector{Float64}
     config::ClosureConfig
     cached::Dict{Vector{Float64}, VesselModes}
     lock::ReentrantLock
 end
 
-function VesselCache(wall, losses, z, config)
+function VesselCache(wall, losses, shear, z, config)
     cached = Dict{Vector{Float64}, VesselModes}()
-    return VesselCache(copy(wall), copy(losses), copy(z), config, cached, ReentrantLock())
+    copies = map(copy, (wall, losses, shear, z))
+    return VesselCache(copies..., config, cached, ReentrantLock())
 end
 
-VesselCache() = VesselCache(Float64[], Float64[], Float64[], ClosureConfig())
+VesselCache() = VesselCache(ntuple(_ -> Float64[], 4)..., ClosureConfig())
 
 function (vessels::VesselCache)(area_undeformed::AbstractVector{Float64})
-    (; wall, losses, z, config, cached) = vessels
+    (; wall, losses, shear, z, config, cached) = vessels
     modes = @lock vessels.lock get(cached, area_undeformed, nothing)
     modes === nothing || return modes
     area = Vector(area_undeformed)
-    new_modes = VesselModes(wall, losses, area, z, config.wall.law, config.physics)
+    new_modes = VesselModes(wall, losses, shear, area, z, config.wall.law, config.physics)
     @lock vessels.lock begin
         length(cached) < MAX_CACHED_VESSELS || empty!(cached)
         cached[area] = new_modes
@@ -215,15 +259,16 @@ ClosureWorkspace(harmonics::Harmonics, n_points::Integer) = ClosureWorkspace(
 
 """
     predict_closures!(
-        flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period, config,
+        flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, period,
+        config,
     )
 
-Compute flow, area and pressure, (z, time, case), mL/s, cm² and dyn/cm². The result of a case
-does not depend on the other cases.
+Compute flow, area, pressure and the magnitude of the wall shear stress, (z, time, case), mL/s,
+cm² and dyn/cm². The result of a case does not depend on the other cases.
 
 # Arguments
 
-  - `parameters`: vectors of outlet, losses, wall and correction.
+  - `parameters`: vectors of outlet, losses, wall, correction and wall shear stress.
   - `shift`: added to the argument of the correction's sigmoid, (case).
   - `inflow`: Q(z=0, t), mL/s, (time, case).
   - `area_undeformed`: S_u, cm², (z, case).
@@ -235,14 +280,14 @@ does not depend on the other cases.
 `SolveError` if the coupling passes of a case do not converge.
 """
 function predict_closures!(
-    flow, area, pressure, parameters, shift, inflow, area_undeformed, z, period,
+    flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, period,
     config::ClosureConfig,
 )
-    outlet_parameters, losses, wall, correction = parameters
+    outlet_parameters, losses, wall, correction, shear_parameters = parameters
     n_times, n_cases = size(inflow)
     harmonics = cached_harmonics!(STATE, n_times, period)
     outlet = OutletLaw(outlet_parameters, n_times, period)
-    vessels = cached_vessels!(STATE, wall, losses, z, config)
+    vessels = cached_vessels!(STATE, wall, losses, shear_parameters, z, config)
     # Larger amplitudes need more passes: batches of similar amplitude need similarly many.
     order = sortperm(vec(maximum(abs, inflow; dims = 1)); rev = true)
     converged = fill(false, n_cases)
@@ -258,8 +303,8 @@ function predict_closures!(
             for (case, coupled, vessel) in zip(cases, coupled_cases, selected)
                 converged[case] = coupled.change <= CHANGE_LIMIT * coupled.largest_inflow
                 @views fields!(
-                    flow[:, :, case], area[:, :, case], pressure[:, :, case], coupled, vessel,
-                    workspace.fields,
+                    flow[:, :, case], area[:, :, case], pressure[:, :, case],
+                    shear[:, :, case], coupled, vessel, workspace.fields,
                 )
             end
         end

@@ -24,10 +24,11 @@
 # average of the mean and the midrange of e, which needs fewer passes than either.
 
 """
-    VesselModes(wall, loss, area_undeformed, z, law, physics)
+    VesselModes(wall, loss, shear, area_undeformed, z, law, physics)
 
-Functions of z of one vessel, S_u (z). Flow, area and pressure are sums of their products with
-the functions of time in [`CoupledCase`](@ref), with the k = 18 modes of the losses.
+Functions of z of one vessel, S_u (z), for the parameters of wall, losses and wall shear stress.
+Flow, area, pressure and wall shear stress are sums of their products with the functions of time
+in [`CoupledCase`](@ref), with the k = 18 modes of the losses.
 
 # Fields
 
@@ -35,6 +36,7 @@ the functions of time in [`CoupledCase`](@ref), with the k = 18 modes of the los
   - `area`: functions of P², of 1, of P and of the modes, (z, 3 + k): (r_u + u_r)² without the
     products of modes.
   - `pressure`: p₀, 1 and the losses' functions of z, (z, 2 + k).
+  - `shear`: wall shear stress for the modes, (z, k).
   - `flow_slope`, `area_slope`: derivatives of the modes' columns of flow and area with
     respect to the mean of P, (z, k).
   - `reference_flow`: Q₀ of the losses, mL/s.
@@ -43,18 +45,22 @@ struct VesselModes
     flow::Matrix{Float64}
     area::Matrix{Float64}
     pressure::Matrix{Float64}
+    shear::Matrix{Float64}
     flow_slope::Matrix{Float64}
     area_slope::Matrix{Float64}
     reference_flow::Float64
 end
 
-function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
+function VesselModes(wall, loss, shear, area_undeformed, z, law, physics::Physics)
     radius = sqrt.(area_undeformed ./ π)
     uniform = vec(displacement(wall, ones(length(z), 1), area_undeformed, z, law))
     per_pressure = 2π .* radius .* uniform
     volume = cumulative_integral(per_pressure, z)
     coefficients = LossCoefficients(loss, area_undeformed, z, physics)
-    pressure = spatial_modes(coefficients, volume ./ volume[end], z)
+    share = volume ./ volume[end]
+    pressure = spatial_modes(coefficients, share, z)
+    momentum = LossParameters(loss).jet_momentum
+    terms = ShearTerms(coefficients, momentum, area_undeformed, z, physics)
     radial = displacement(wall, pressure, area_undeformed, z, law)
     square, one = π .* uniform .^ 2, ones(length(z))
     area, slope = 2π .* radius .* radial, 2π .* uniform .* radial
@@ -63,6 +69,7 @@ function VesselModes(wall, loss, area_undeformed, z, law, physics::Physics)
         [one volume cumulative_integral(square, z) integrals(area)],
         [square area_undeformed per_pressure area],
         [wall[end] .* one one pressure],
+        shear_modes(shear, terms, share),
         integrals(slope),
         slope,
         coefficients.reference_flow,
@@ -484,22 +491,24 @@ in the processor's first-level cache.
 const BLOCK_LENGTH = 2048
 
 """
-    fields!(flow, area, pressure, coupled, vessel, workspace)
+    fields!(flow, area, pressure, shear, coupled, vessel, workspace)
 
-Compute flow (mL/s), area (cm²) and pressure (dyn/cm²) of one case, each (z, time), as sums of
-products of functions of z and of time.
+Compute flow (mL/s), area (cm²), pressure and the magnitude of the wall shear stress (dyn/cm²) of
+one case, each (z, time), as sums of products of functions of z and of time.
 """
 function fields!(
-    flow, area, pressure, coupled::CoupledCase, vessel::VesselModes, workspace::FieldWorkspace,
+    flow, area, pressure, shear, coupled::CoupledCase, vessel::VesselModes,
+    workspace::FieldWorkspace,
 )
     # The modes of reversed flow, which are the last ones, are zero without reversed flow.
     n_used = 3 + N_MODES - (coupled.has_reversed_flow ? 0 : N_DIRECTED)
     mean = coupled.mean_pressure
-    function write!(field, in_z, in_time, rows)
+    function write!(field, in_z, in_time, rows; magnitude = false)
         n_times = size(field, 2)
         for time_points in Iterators.partition(1:n_times, size(workspace.field, 2))
             @views block = workspace.field[:, 1:length(time_points)]
             @views thin_matmul!(block, in_z[:, 1:length(rows)], in_time[rows, time_points])
+            magnitude && (block .= abs.(block))
             @views streaming_copy!(field[:, time_points], block)
         end
     end
@@ -508,6 +517,7 @@ function fields!(
     modes_at_mean!(workspace.in_z, vessel.area, vessel.area_slope, mean)
     write!(area, workspace.in_z, coupled.area, 1:n_used)
     write!(pressure, vessel.pressure, coupled.area, 2:n_used)
+    write!(shear, vessel.shear, coupled.area, 4:n_used; magnitude = true)
     return nothing
 end
 

@@ -81,6 +81,17 @@ LossParameters(vector::Vector{T}) where {T} =
     LossParameters{T}(NTuple{fieldcount(LossParameters), T}(vector)...)
 
 """
+    SteadyFlow(flow, layer, jet)
+
+A flow Q, mL/s, in the direction of z, with its d and its A_j, (z).
+"""
+struct SteadyFlow{T}
+    flow::Float64
+    layer::Vector{T}
+    jet::Vector{T}
+end
+
+"""
     LossCoefficients(parameters, area_undeformed, z, physics)
 
 Coefficients of the losses of one vessel.
@@ -99,12 +110,16 @@ Coefficients of the losses of one vessel.
   - `forward`, `back`: D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over
     each interval, (z − 1, 4), for Q > 0 and for Q < 0. The sign is that of a drop in the
     direction of z.
+  - `forward_flows`, `back_flows`: a [`SteadyFlow`](@ref) for each of the
+    [`FLOW_RATIOS`](@ref), in the direction of z and in the mirrored vessel.
 """
 struct LossCoefficients{T}
     reference_flow::Float64
     inertia::Vector{T}
     forward::Matrix{T}
     back::Matrix{T}
+    forward_flows::Vector{SteadyFlow{T}}
+    back_flows::Vector{SteadyFlow{T}}
 end
 
 function LossCoefficients(parameters, area_undeformed, z, physics::Physics)
@@ -112,28 +127,31 @@ function LossCoefficients(parameters, area_undeformed, z, physics::Physics)
     viscosity = π * physics.viscosity / physics.density
     radius = sqrt((area_undeformed[1] + area_undeformed[end]) / 2π)
     reference_flow = REFERENCE_REYNOLDS / 2 * viscosity * radius
-    forward = directed_factors(named, area_undeformed, z, reference_flow, physics)
+    forward_flows = steady_flows(named, area_undeformed, z, reference_flow, physics)
+    forward = directed_factors(named, forward_flows, area_undeformed, z, physics)
     mirrored = reverse(area_undeformed), z[end] .- reverse(z)
-    back = directed_factors(named, mirrored..., reference_flow, physics)
+    back_flows = steady_flows(named, mirrored..., reference_flow, physics)
+    back = directed_factors(named, back_flows, mirrored..., physics)
     return LossCoefficients(
         reference_flow,
         named.inertia .* physics.density ./ area_undeformed,
         forward,
         .-reverse(back; dims = 1),
+        forward_flows,
+        back_flows,
     )
 end
 
 """
-    directed_factors(parameters, area_undeformed, z, reference_flow, physics)
+    steady_flows(parameters, area_undeformed, z, reference_flow, physics)
 
-Factors of a flow in the direction of z, (z − 1, 4), as in [`LossCoefficients`](@ref);
-`parameters` are [`LossParameters`](@ref).
+A [`SteadyFlow`](@ref) for each of the [`FLOW_RATIOS`](@ref); `parameters` are
+[`LossParameters`](@ref).
 """
-function directed_factors(
+function steady_flows(
     parameters::LossParameters{T}, area_undeformed, z, reference_flow, physics,
 ) where {T}
-    factors = zeros(T, length(z) - 1, 4)
-    for (number, ratio) in pairs(FLOW_RATIOS)
+    return map(collect(FLOW_RATIOS)) do ratio
         flow = ratio * reference_flow
         viscosity = π * physics.viscosity / (physics.density * flow)
         layer = layer_thickness(area_undeformed, z, 4 * viscosity * parameters.layer_growth)
@@ -141,13 +159,27 @@ function directed_factors(
             area_undeformed, z, parameters.jet_momentum, parameters.jet_spread,
             viscosity * parameters.jet_viscous_spread,
         )
+        SteadyFlow{T}(flow, layer, jet)
+    end
+end
+
+"""
+    directed_factors(parameters, flows, area_undeformed, z, physics)
+
+Factors of a flow in the direction of z, (z − 1, 4), as in [`LossCoefficients`](@ref);
+`parameters` are [`LossParameters`](@ref), and `flows` the [`steady_flows`](@ref).
+"""
+function directed_factors(
+    parameters::LossParameters{T}, flows, area_undeformed, z, physics,
+) where {T}
+    factors = zeros(T, length(z) - 1, 4)
+    for (number, (; flow, layer, jet)) in pairs(flows)
         drop = steady_drop(parameters, flow, layer, jet, area_undeformed, z, physics)
         for term in 1:3
             factors[:, term] .+= DROP_TO_FACTORS[term, number] .* drop
         end
-        number == 2 || continue
-        factors[:, 4] .= lag_factor(parameters, jet, area_undeformed, z, physics)
     end
+    factors[:, 4] .= lag_factor(parameters, flows[2].jet, area_undeformed, z, physics)
     return factors
 end
 

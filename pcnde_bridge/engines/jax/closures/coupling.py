@@ -36,6 +36,7 @@ import jax.numpy as jnp
 
 from pcnde_bridge.config.settings import CorrectionClosure, Physics
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
+from pcnde_bridge.engines.jax.closures import wall_shear_stress
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.integrals import from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
@@ -53,7 +54,7 @@ _Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 class VesselModes(NamedTuple):
-    """Functions of z of one vessel, which sum up to flow, area and pressure.
+    """Functions of z of one vessel, which sum up to flow, area, pressure and wall shear stress.
 
     They are the factors of the functions of time of :class:`Coupled`, with k = 18 modes of the
     losses.
@@ -66,6 +67,8 @@ class VesselModes(NamedTuple):
         Area for P², for 1, for P and for the modes: (r_u + u_r)² without the products of modes.
     pressure : array of shape (2 + k, z)
         p₀, 1 and the losses' functions of z.
+    shear : array of shape (k, z)
+        Wall shear stress for the modes.
     flow_slope, area_slope : array of shape (k, z)
         Increase of the modes' rows of flow and area with the mean of P.
     reference_flow : scalar
@@ -75,6 +78,7 @@ class VesselModes(NamedTuple):
     flow: jax.Array
     area: jax.Array
     pressure: jax.Array
+    shear: jax.Array
     flow_slope: jax.Array
     area_slope: jax.Array
     reference_flow: jax.Array
@@ -107,31 +111,36 @@ class Coupled(NamedTuple):
 def vessel_modes(
     wall: jax.Array,
     loss: jax.Array,
+    shear: jax.Array,
     area_undeformed: jax.Array,
     z: jax.Array,
     law: Literal["membrane", "local", "auto"],
     physics: Physics,
-) -> VesselModes:
-    """Integrate wall and losses along one vessel, S_u (z,)."""
+) -> tuple[VesselModes, wall_shear_stress.Terms]:
+    """Integrate wall and losses along one vessel, S_u (z,), with the terms of its shear."""
     radius = jnp.sqrt(area_undeformed / jnp.pi)
     uniform = displacement(wall, jnp.ones((1, z.size)), area_undeformed, z, law)[0]
     per_pressure = 2 * jnp.pi * radius * uniform
     first = from_inlet(per_pressure, z)
     coefficients = losses.coefficients(loss, area_undeformed, z, physics)
-    pressure = losses.modes_in_space(coefficients, first / first[-1], z)
+    share = first / first[-1]
+    pressure = losses.modes_in_space(coefficients, share, z)
+    terms = wall_shear_stress.terms(coefficients, physics)
     moved = displacement(wall, pressure, area_undeformed, z, law)
     square = jnp.pi * uniform**2
     one = jnp.ones_like(z)
     area = 2 * jnp.pi * radius * moved
     slope = 2 * jnp.pi * uniform * moved
-    return VesselModes(
+    modes = VesselModes(
         jnp.stack([one, first, from_inlet(square, z), *from_inlet(area, z)]),
         jnp.stack([square, area_undeformed, per_pressure, *area]),
         jnp.stack([wall[-1] * one, one, *pressure]),
+        wall_shear_stress.modes_in_space(shear, terms, share),
         from_inlet(slope, z),
         slope,
         coefficients.reference_flow,
     )
+    return modes, terms
 
 
 def couple(

@@ -20,9 +20,11 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
+from pcnde_bridge.engines.jax.closures import wall_shear_stress
 from pcnde_bridge.engines.jax.closures.coupling import Coupled, VesselModes, couple, vessel_modes
 from pcnde_bridge.engines.jax.closures.pressure_losses import DIRECTED
 from pcnde_bridge.engines.jax.closures.wall import displacement
+from pcnde_bridge.engines.jax.closures.wall_shear_stress import Terms
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
 from pcnde_bridge.errors import SolveError
@@ -69,10 +71,24 @@ class JaxClosures(Closures):
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
-        vessels, which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
-        vessels = jax.tree.map(lambda modes: modes[which], vessels)
+        (modes, _), which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
+        vessels = jax.tree.map(lambda array: array[which], modes)
         fixed = others.outlet, others.wall, points, grid.period
         return _problem(_flow, (vessels, inflow), fixed, config)
+
+    def wall_shear_stress(
+        self,
+        others: ClosureParameters,
+        flow: Array,
+        flow_rate: Array,
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Problem:
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        (modes, terms), which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
+        vessels = jax.tree.map(lambda array: array[which], (terms, modes.reference_flow))
+        return _problem(_wall_shear_stress, (*vessels, flow, flow_rate), (), config)
 
     def predict(
         self,
@@ -85,8 +101,8 @@ class JaxClosures(Closures):
         inflow, area_undeformed, grid = inputs
         settings, count = _relevant(config), len(inflow)
         shape = *inflow.shape, grid.z.size
-        result = Solution(*(self._buffers.empty(shape) for _ in range(3)))
-        vessels, which = _vessels_of(parameters, area_undeformed, grid.z, settings)
+        result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
+        (vessels, _), which = _vessels_of(parameters, area_undeformed, grid.z, settings)
 
         def compute(start: int) -> Array:
             rows = slice(start, start + _BATCH)
@@ -117,22 +133,23 @@ class JaxClosures(Closures):
 
 def _vessels_of(
     parameters: ClosureParameters, area_undeformed: Array, z: Array, config: ClosureConfig
-) -> tuple[VesselModes, IntArray]:
+) -> tuple[tuple[VesselModes, Terms], IntArray]:
     """Return the distinct vessels, and which of them each case has: waveforms share vessels."""
     vessel_of = [s.tobytes() for s in area_undeformed]
     distinct = sorted(set(vessel_of))
     row = {vessel: number for number, vessel in enumerate(distinct)}
     which = np.array([row[vessel] for vessel in vessel_of])
-    key = parameters.wall.tobytes(), parameters.losses.tobytes(), b"".join(distinct), z.tobytes()
+    vectors = parameters.wall, parameters.losses, parameters.wall_shear_stress
+    key = *(vector.tobytes() for vector in vectors), b"".join(distinct), z.tobytes()
     return _distinct_vessels(*key, config), which
 
 
 @lru_cache(maxsize=1)
 def _distinct_vessels(
-    wall: bytes, loss: bytes, area_undeformed: bytes, z: bytes, config: ClosureConfig
-) -> VesselModes:
+    wall: bytes, loss: bytes, shear: bytes, area_undeformed: bytes, z: bytes, config: ClosureConfig
+) -> tuple[VesselModes, Terms]:
     """Integrate along vessels; consecutive predictions often have the same ones."""
-    points, vectors = np.frombuffer(z), (np.frombuffer(wall), np.frombuffer(loss))
+    points, *vectors = map(np.frombuffer, (z, wall, loss, shear))
     areas = np.frombuffer(area_undeformed).reshape(-1, points.size)
     parts = []
     with double_precision():
@@ -140,7 +157,7 @@ def _distinct_vessels(
             s_u = _padded(areas[start : start + _BATCH])
             modes = _vessels(*vectors, s_u, points, config=config)
             parts.append(jax.tree.map(np.asarray, modes))
-    vessels: VesselModes = jax.tree.map(lambda *a: np.concatenate(a), *parts)
+    vessels: tuple[VesselModes, Terms] = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     return vessels
 
 
@@ -157,7 +174,7 @@ def _couple_batch(
 
 
 def _write_fields(
-    coupled: Coupled, vessels: VesselModes, flow: Array, area: Array, pressure: Array
+    coupled: Coupled, vessels: VesselModes, flow: Array, area: Array, pressure: Array, shear: Array
 ) -> None:
     """Write the sums of products of functions of time and of z into (case, time, z).
 
@@ -174,6 +191,8 @@ def _write_fields(
         in_z[:, 3:] += mean * slope
         np.matmul(in_time, in_z[:, :rows], out=out)
     np.matmul(of_area[:, :, 1:], vessels.pressure[:, : rows - 1], out=pressure)
+    np.matmul(of_area[:, :, 3:], vessels.shear[:, : rows - 3], out=shear)
+    np.abs(shear, out=shear)
 
 
 def _padded(cases: Any) -> Array:
@@ -215,16 +234,23 @@ def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
     return result
 
 
+def _wall_shear_stress(
+    parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig
+) -> jax.Array:
+    return wall_shear_stress.stress(parameters, *case)
+
+
 @partial(jax.jit, static_argnames="config")
 def _vessels(
     wall: jax.Array,
     loss: jax.Array,
+    shear: jax.Array,
     area_undeformed: jax.Array,
     z: jax.Array,
     config: ClosureConfig,
-) -> VesselModes:
-    def one(s: jax.Array) -> VesselModes:
-        return vessel_modes(wall, loss, s, z, config.wall.law, config.physics)
+) -> tuple[VesselModes, Terms]:
+    def one(s: jax.Array) -> tuple[VesselModes, Terms]:
+        return vessel_modes(wall, loss, shear, s, z, config.wall.law, config.physics)
 
     return jax.vmap(one)(area_undeformed)
 

@@ -54,7 +54,21 @@ _FLOWS = np.array([0.5, 2.0, 8.0])
 _TO_FACTORS = np.linalg.inv(np.stack([_FLOWS, _FLOWS**2 / (1 + _FLOWS), _FLOWS**2], axis=1))
 """Matrix (3, 3) from the drops at these flows to D₁, D₂, D₃."""
 
-DIRECTED = 8
+_FACTORS, _NUMBERS, _POWERS = np.array(
+    [
+        (0, 1, 0),
+        (0, -1, 1),
+        (1, 1, 0),
+        (1, -1, 1),
+        (2, 1, 0),
+        (2, -2, 1),
+        (2, 1, 2),
+        (3, 1, 0),
+    ]
+).T
+"""Modes of one direction in space: a factor of :class:`Coefficients`, a number, a power of ξ."""
+
+DIRECTED = len(_FACTORS)
 """Number of modes of one direction; the last ones are zero without reversed flow."""
 
 
@@ -70,12 +84,36 @@ class Coefficients(NamedTuple):
     forward, back : array of shape (4, z − 1)
         D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over each interval, for
         Q > 0 and, with the sign of a drop in the direction of z, for Q < 0.
+    marched : Marched
+        Layer and jet of flows in the direction of z, and in the mirrored vessel; every array has
+        one more axis in front.
     """
 
     reference_flow: jax.Array
     inertia: jax.Array
     forward: jax.Array
     back: jax.Array
+    marched: Marched
+
+
+class Marched(NamedTuple):
+    """Vessel, and the flows at which the steady drop is computed.
+
+    Attributes
+    ----------
+    area, z : arrays of shape (z,)
+        S_u, cm², and the points, cm.
+    flow : array of shape (3, 1)
+        Q, mL/s.
+    layer, jet : arrays of shape (3, z)
+        d, and S_u/(β·A_j), which is 1 where the flow fills the vessel.
+    """
+
+    area: jax.Array
+    z: jax.Array
+    flow: jax.Array
+    layer: jax.Array
+    jet: jax.Array
 
 
 class _Parameters(NamedTuple):
@@ -114,15 +152,15 @@ def coefficients(
     radius = jnp.sqrt((area_undeformed[0] + area_undeformed[-1]) / (2 * jnp.pi))
     reference = _REYNOLDS / 2 * kinematic * radius
     both = jnp.stack([area_undeformed, area_undeformed[::-1]]), jnp.stack([z, z[-1] - z[::-1]])
-    forward, back = jax.vmap(lambda s, x: _directed(p, s, x, reference, physics))(*both)
+    (forward, back), marched = jax.vmap(lambda s, x: _directed(p, s, x, reference, physics))(*both)
     inertia = p.inertia * physics.density / area_undeformed
-    return Coefficients(reference, inertia, forward, -back[:, ::-1])
+    return Coefficients(reference, inertia, forward, -back[:, ::-1], marched)
 
 
 def _directed(
     p: _Parameters, area: jax.Array, z: jax.Array, reference: jax.Array, physics: Physics
-) -> jax.Array:
-    """Return the drops over each interval of a flow in the direction of z, (4, z − 1)."""
+) -> tuple[jax.Array, Marched]:
+    """Return the drops of a flow in the direction of z over each interval, (4, z − 1)."""
     density, viscosity = physics.density, physics.viscosity
     flow = (reference * _FLOWS)[:, None]
     layer, jet, volume = along_vessel(
@@ -145,10 +183,16 @@ def _directed(
     accelerated = p.core * density / 2 * jnp.diff(core**2)
     mixed = p.jet_recovery * flow**2 * per_area * jnp.diff(1 / jet)
     narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
-    factors = _TO_FACTORS @ (jnp.where(narrows, accelerated, mixed) + friction)
+    factors = to_factors(jnp.where(narrows, accelerated, mixed) + friction)
     lag = (1 / jet - p.jet_momentum / area) * volume
     # The lag is computed at the second flow.
-    return jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
+    drops = jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
+    return drops, Marched(area, z, flow, layer, area / (p.jet_momentum * jet))
+
+
+def to_factors(of_flows: jax.Array) -> jax.Array:
+    """Return the factors of :func:`steady` from values at the three flows, (..., 3, z)."""
+    return jnp.matmul(_TO_FACTORS, of_flows)
 
 
 def _middle(values: jax.Array) -> jax.Array:
@@ -156,7 +200,7 @@ def _middle(values: jax.Array) -> jax.Array:
     return (values[..., 1:] + values[..., :-1]) / 2
 
 
-def _steady(flow: jax.Array) -> _Signals:
+def steady(flow: jax.Array) -> _Signals:
     """Return x, x²/(1 + x) and x² of x = |Q|/Q₀."""
     return flow, flow**2 / (1 + flow), flow**2
 
@@ -172,7 +216,7 @@ def drop(
     """Return p − p(L), (time, z), of a given flow Q and its rate, both (time, z)."""
     c = coefficients(parameters, area_undeformed, z, physics)
     x = _middle(flow) / c.reference_flow
-    functions = jnp.stack([*_steady(jnp.abs(x)), jnp.sign(x) * _middle(flow_rate)])
+    functions = jnp.stack([*steady(jnp.abs(x)), jnp.sign(x) * _middle(flow_rate)])
     factors = jnp.where(x > 0, c.forward[:, None], c.back[:, None])
     inertia = _middle(c.inertia * flow_rate) * jnp.diff(z)
     summed = summed_from_inlet(jnp.sum(factors * functions, axis=0) + inertia)
@@ -181,23 +225,16 @@ def drop(
 
 def modes_in_space(c: Coefficients, share: jax.Array, z: jax.Array) -> jax.Array:
     """Return the functions of z, (18, z), for :func:`modes_in_time`; ``share`` (z,) is ξ."""
-    between = _middle(share)
     inertia = (to_outlet(f, z) for f in (c.inertia, -c.inertia * share))
-    directed = (
-        summed_from_inlet(piece)
-        for linear, rational, square, lag in (c.forward, c.back)
-        for piece in (
-            linear,
-            -linear * between,
-            rational,
-            -rational * between,
-            square,
-            -2 * square * between,
-            square * between**2,
-            lag,
-        )
-    )
-    return jnp.stack([*inertia, *(d[-1] - d for d in directed)])
+    directed = summed_from_inlet(directed_modes(c.forward, c.back, _middle(share)))
+    return jnp.stack([*inertia, *(directed[:, -1:] - directed)])
+
+
+def directed_modes(forward: jax.Array, back: jax.Array, share: jax.Array) -> jax.Array:
+    """Return the functions of z of both directions, (16, z), from the factors (4, z) of each."""
+    powers = jnp.stack([jnp.ones_like(share), share, share**2])
+    products = _NUMBERS[:, None] * powers[_POWERS]
+    return jnp.concatenate([forward[_FACTORS] * products, back[_FACTORS] * products])
 
 
 def modes_in_time(
