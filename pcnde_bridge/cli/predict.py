@@ -181,9 +181,9 @@ def figures(
     from pcnde_bridge.plots.figures import COSTS, FigureData, choose, make_figures
 
     choose(only)
-    lock_folder(out)
     fitted, cases = PCNDE.load(model, engine), load_cases(data)
     sets = split_of(cases, data, split)
+    lock_folder(out)
     truth_label = {"synthetic": "1D solver", "published": "3D, averaged"}.get(data, "truth")
     figure_data = FigureData(fitted, cases, sets["train"], sets.get("test"), truth_label)
     if data == "synthetic":
