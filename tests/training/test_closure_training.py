@@ -122,7 +122,11 @@ def test_given_numbers_are_kept(cases):
     for name in ("outlet", "losses", "wall"):
         assert np.array_equal(getattr(model.parameters, name), getattr(CORRECTED, name))
     assert model.parameters.correction[0] == 1.3
-    assert model.evaluate(cases).iloc[-1].max() < 1e-3
+    errors = model.evaluate(cases).iloc[-1]
+    # The wall shear stress is not given: its fit is penalized towards the start.
+    fitted = errors.filter(like="wall_shear_stress")
+    assert errors.drop(fitted.index).max() < 1e-3
+    assert fitted.max() < 2e-3
     assert model.uncertainty is None
     with pytest.raises(InputError, match="no uncertainty to draw samples from"):
         model.predict(cases, samples=4)
