@@ -17,6 +17,7 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, values_at
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines.closure_parameters import (
     CORRECTION_SCALARS,
     WALL_SHEAR_STRESS,
@@ -196,34 +197,50 @@ def fit_wall(
 
 
 def fit_wall_shear_stress(
-    closures: Closures, others: ClosureParameters, cases: Cases, config: ClosureConfig
-) -> Array:
+    closures: Closures,
+    others: ClosureParameters,
+    cases: Cases,
+    config: ClosureConfig,
+    left_out: Sequence[Positions],
+) -> list[Array]:
     """Fit the wall shear stress, with the reference flow, or return the start if there is none.
 
     The data may hold the magnitude, so the sign of each value is that of the fit before.
+
+    Returns
+    -------
+    list of arrays of shape (n,)
+        Parameters of the fit to the other cases, for each of ``left_out``.
     """
     start = WALL_SHEAR_STRESS
     if cases.wall_shear_stress is None:
-        return start
+        return [start] * len(left_out)
     times = _few_times(cases)
     flow, flow_rate = cases.flow[:, times], _flow_rate(cases)[:, times]
     others = others.replace(wall_shear_stress=start)
     problem = closures.wall_shear_stress(
         others, flow, flow_rate, cases.area_undeformed, cases.grid, config
     )
-    value, slope = problem(start)
-    value, slope = value.ravel(), slope.reshape(-1, start.size)
-    target = np.abs(cases.wall_shear_stress[:, times]).ravel()
+    target = np.abs(cases.wall_shear_stress[:, times])
+    parts = *problem(start), target
+    return [start + _linear_fit(*(np.delete(a, fold, axis=0) for a in parts)) for fold in left_out]
+
+
+def _linear_fit(value: Array, slope: Array, target: Array) -> Array:
+    """Return the change of the parameters for which |value + slope·change| is the target."""
+    value, slope, target = value.ravel(), slope.reshape(-1, slope.shape[-1]), target.ravel()
     gram = slope.T @ slope
     penalized = gram + _SHEAR_PENALTY * np.diag(gram.diagonal())
-    change, sign = np.zeros_like(start), np.zeros_like(value)
+    change: Array = np.zeros(slope.shape[1])
+    sign = np.zeros_like(value)
     for _ in range(_SIGN_CHANGES):
         previous, sign = sign, np.sign(value + slope @ change)
         if np.array_equal(sign, previous):
             break
         # The penalty draws towards the start; a term that is zero in all cases stays there.
-        change = np.linalg.lstsq(penalized, slope.T @ (sign * target - value), rcond=None)[0]
-    return start + change
+        solved = np.linalg.lstsq(penalized, slope.T @ (sign * target - value), rcond=None)
+        change = np.asarray(solved[0], dtype=float)
+    return change
 
 
 def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generator) -> Array:

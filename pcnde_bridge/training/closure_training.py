@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.engines.protocol import Engine
@@ -106,8 +107,7 @@ class ClosureTraining(Procedure[ClosureState]):
         if name == "outlet":
             return _with(state, name, closure_fit.fit_outlet(cases, config))
         if name == "wall_shear_stress":
-            fitted = closure_fit.fit_wall_shear_stress(closures, state.parameters, cases, config)
-            return _with(state, name, fitted)
+            return _with(state, name, self._wall_shear_stresses(state, [np.empty(0, int)])[0])
         if name != "correction":
             fit_closure = {"losses": closure_fit.fit_losses, "wall": closure_fit.fit_wall}[name]
             optimize = partial(fit_closure, closures, cases, config)
@@ -131,8 +131,15 @@ class ClosureTraining(Procedure[ClosureState]):
         members = [state.vectors[f"member_{k}"] for k in range(len(self.left_out))]
         rng = np.random.default_rng([state.seed, 1])
         model = SampledModel(self.engine.closures, state.parameters, self.config)
-        uncertainty = calibrate(model, members, self.left_out, self.cases, rng)
+        stresses = self._wall_shear_stresses(state, self.left_out)
+        uncertainty = calibrate(model, members, stresses, self.left_out, self.cases, rng)
         return replace(state, uncertainty=uncertainty)
+
+    def _wall_shear_stresses(
+        self, state: ClosureState, left_out: Sequence[Positions]
+    ) -> list[Array]:
+        closures, given = self.engine.closures, (state.parameters, self.cases, self.config)
+        return closure_fit.fit_wall_shear_stress(closures, *given, left_out)
 
     def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         """Return facts and arrays of a checkpoint."""

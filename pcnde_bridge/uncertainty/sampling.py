@@ -12,12 +12,14 @@ Four random quantities make a sample of a prediction:
   outlet, the same at every point, so that it cancels in a pressure drop;
 - normal multiples for the pressure losses ℓ(z, t) = p − p(L): one of ℓ itself, and three of the
   vessel's mean dynamic pressure, in the shares in which ℓ builds up along the vessel: constant in
-  time, and with cos(2πt/T) and sin(2πt/T).
+  time, and with cos(2πt/T) and sin(2πt/T);
+- the same multiples for the wall shear stress, of itself and of Poiseuille's for the mean inflow,
+  which also grows with the amplitude.
 
 The widths are calibrated on the cases that each fit left out
 (:mod:`pcnde_bridge.uncertainty.calibration`): those of the losses on the drop across the stenosis,
-the others on flow, area and pressure, with the shift that gives the narrowest intervals.  The
-losses themselves are fitted to all training cases.
+those of the wall shear stress at all points, the others on flow, area and pressure, with the shift
+that gives the narrowest intervals.  The losses themselves are fitted to all training cases.
 """
 
 from __future__ import annotations
@@ -32,9 +34,14 @@ from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.indices import measuring_positions, pressure_drop
+from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.indices import (
+    measuring_positions,
+    poiseuille_wall_shear_stress,
+    pressure_drop,
+)
 from pcnde_bridge.data.selection import Positions
-from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Solution
@@ -51,7 +58,8 @@ from pcnde_bridge.uncertainty.calibration import (
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _CALIBRATION_SAMPLES = 12
 _NEGLIGIBLE = 1e-12
-_NOISES = len(VARIABLES) + 4
+_MULTIPLES = 4  # of the losses, and of the wall shear stress
+_NOISES = len(VARIABLES) + 2 * _MULTIPLES
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +75,9 @@ class Uncertainty:
     losses : array of shape (3,)
         Standard deviations of the losses: relative to them, then relative to the mean dynamic
         pressure, constant and varying in time.
+    wall_shear_stress : array of shape (3,) or (0,)
+        The same of the wall shear stress, relative to it, then to Poiseuille's; empty if the
+        training cases have none.
     profile, scale, amplitude : arrays of shape (3, point), (3,) and (1,)
         Attributes of :class:`~pcnde_bridge.uncertainty.calibration.Calibration`.
     """
@@ -74,6 +85,7 @@ class Uncertainty:
     members: Array
     shift: Array
     losses: Array
+    wall_shear_stress: Array
     profile: Array
     scale: Array
     amplitude: Array
@@ -101,7 +113,9 @@ class Uncertainty:
         """
         self.calibration.check()
         members = len(self.members), width
-        for name, shape in {"members": members, "shift": (1,), "losses": (3,)}.items():
+        stress = (3,) if self.wall_shear_stress.size else (0,)
+        shapes = {"members": members, "shift": (1,), "losses": (3,), "wall_shear_stress": stress}
+        for name, shape in shapes.items():
             check_shape(f"The uncertainty's {name}", getattr(self, name), shape)
             check_finite(f"The uncertainty's {name}", getattr(self, name))
 
@@ -115,9 +129,10 @@ class RandomNumbers(NamedTuple):
         Index of the fit that gives the correction.
     shift : array of shape (sample, case)
         Shift of the correction's logit.
-    noise : array of shape (7, sample, case)
-        Multiples of the error profiles of flow, area and pressure, of the losses, and of
-        the mean dynamic pressure, constant, with cosine and with sine.
+    noise : array of shape (11, sample, case)
+        Multiples of the error profiles of flow, area and pressure; of the losses, and of
+        the mean dynamic pressure, constant, with cosine and with sine; the same four of the
+        wall shear stress.
     """
 
     member: IntArray
@@ -156,18 +171,19 @@ class SampledModel(NamedTuple):
     config: ClosureConfig
 
     def predict(self, correction: Array, shift: Array, inputs: ModelInputs) -> dict[str, Array]:
-        """Predict flow, area and pressure (sample, case, time, z) with shifts (sample, case)."""
+        """Predict all variables (sample, case, time, z) with shifts (sample, case)."""
         parameters, (inflow, area, grid) = self.parameters.replace(correction=correction), inputs
         times = len(shift), 1
         repeated = ModelInputs(np.tile(inflow, times), np.tile(area, times), grid)
         found = self.closures.predict(parameters, shift.ravel(), repeated, self.config)
         shape = *shift.shape, grid.time.size, grid.z.size
-        return {name: getattr(found, name).reshape(shape) for name in VARIABLES}
+        return {name: getattr(found, name).reshape(shape) for name in FIELDS}
 
 
 def calibrate(
     model: SampledModel,
     members: Sequence[Array],
+    stresses: Sequence[Array],
     left_out: Sequence[Positions],
     cases: Cases,
     rng: np.random.Generator,
@@ -180,6 +196,8 @@ def calibrate(
         Model that was fitted to all cases.
     members : sequence of arrays of shape (n,)
         Correction of each fit that left out a fold.
+    stresses : sequence of arrays of shape (n,)
+        Wall shear stress of each of these fits.
     left_out : sequence of arrays of int
         Positions of the cases that each of these fits left out.
     cases : Cases
@@ -188,10 +206,13 @@ def calibrate(
         Source of the random shifts.
     """
     normal = rng.standard_normal((_CALIBRATION_SAMPLES, max(len(fold) for fold in left_out)))
+    reference = amplitude(cases.inflow)
     errors: list[Array] = []
     drops: list[Array] = []  # for each fold, errors of the drop and their two scales
+    shears: list[Array] = []  # for each fold, the same of the wall shear stress at all points
     spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
-    for member, fold in zip(members, left_out, strict=True):
+    for member, stress, fold in zip(members, stresses, left_out, strict=True):
+        model = model._replace(parameters=model.parameters.replace(wall_shear_stress=stress))
         truth = cases.select(fold)
         inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
         plain = model.predict(member, np.zeros((1, len(truth))), inputs)
@@ -200,12 +221,17 @@ def calibrate(
         ends = truth.z, *measuring_positions(truth.z, truth.area_undeformed)
         error = plain["pressure"][0] - truth.pressure
         drops.append(np.stack([pressure_drop(values, *ends) for values in (error, *scales)]))
+        if truth.wall_shear_stress is not None:
+            shear = plain["wall_shear_stress"][0]
+            scale = _poiseuille(inputs, reference, model.config)
+            parts = shear - truth.wall_shear_stress, shear, scale
+            at_points = [np.moveaxis(part, 1, -1).reshape(-1, shear.shape[1]) for part in parts]
+            shears.append(np.stack(at_points))
         spreads.append([np.zeros_like(errors[-1])])
         for shift in _SHIFTS[1:]:
             samples = model.predict(member, shift * normal[:, : len(truth)], inputs)
-            spreads[-1].append(np.stack([v.std(axis=0, ddof=1) for v in samples.values()]))
+            spreads[-1].append(np.stack([samples[name].std(axis=0, ddof=1) for name in VARIABLES]))
     error = np.concatenate(errors, axis=1)
-    reference = amplitude(cases.inflow)
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
     profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
     profile[-1] = profile[-1, -1]
@@ -214,8 +240,9 @@ def calibrate(
     best = int(np.argmin([np.sum(mean / size) for _, mean in found]))
     scale = found[best][0]
     losses = fit_loss_scales(*np.concatenate(drops, axis=1)) / (scale[-1] or 1.0)
-    width = np.array([_SHIFTS[best]])
-    return Uncertainty(np.array(members), width, losses, profile, scale, reference)
+    shear = fit_loss_scales(*np.concatenate(shears, axis=1)) if shears else np.empty(0)
+    widths = np.array([_SHIFTS[best]]), losses, shear
+    return Uncertainty(np.array(members), *widths, profile, scale, reference)
 
 
 def _loss_scales(
@@ -229,6 +256,28 @@ def _loss_scales(
     dynamic = config.physics.density / 2 * (velocity**2).mean(axis=1)
     constant = np.broadcast_to(dynamic[:, None, None] * built_up / largest, losses.shape)
     return losses, constant
+
+
+def _poiseuille(inputs: ModelInputs, reference: Array, config: ClosureConfig) -> Array:
+    """Return Poiseuille's wall shear stress of the mean inflow, times its relative amplitude."""
+    flow = np.abs(inputs.inflow.mean(axis=1)) * relative_amplitude(inputs.inflow, reference)
+    area = inputs.area_undeformed[:, None]
+    stress = poiseuille_wall_shear_stress(flow[:, None, None], area, config.physics.viscosity)
+    return np.broadcast_to(stress, (len(stress), inputs.grid.time.size, inputs.grid.z.size))
+
+
+def _vary(scales: Array, noise: Array, values: Array, constant: Array, grid: Grid) -> Array:
+    """Return random errors (sample, case, time, z) with standard deviations of three parts.
+
+    These are relative to ``values``, and relative to ``constant``, constant and varying in time.
+    """
+    phase = 2 * np.pi * grid.time[:, None] / grid.period
+    relative, steady, varying = scales
+    multiples = noise[..., None, None]
+    wave = multiples[2] * np.cos(phase) + multiples[3] * np.sin(phase)
+    errors: Array = relative * multiples[0] * values
+    errors += (steady * multiples[1] + varying * wave) * constant
+    return errors
 
 
 def sample(
@@ -256,14 +305,15 @@ def sample(
     Returns
     -------
     dict of arrays of shape (sample, case, time, z)
-        Flow, area and pressure.
+        Flow, area and pressure, and the wall shear stress where its error is known.
 
     Raises
     ------
     SolveError
         If a sample cannot be computed.
     """
-    found = {name: np.empty((len(numbers.member), *mean.flow.shape)) for name in VARIABLES}
+    names = FIELDS if uncertainty.wall_shear_stress.size else VARIABLES
+    found = {name: np.empty((len(numbers.member), *mean.flow.shape)) for name in names}
     largest = int(np.bincount(numbers.member).max(initial=0))
     for number, member in enumerate(uncertainty.members):
         rows = np.flatnonzero(numbers.member == number)
@@ -278,21 +328,21 @@ def sample(
                 "The prediction has been computed, but not all of its samples. Of these, each "
                 f"with {counted(len(inputs.inflow), 'case')}, one after the other: {error}"
             ) from error
-        for name, values in samples.items():
-            found[name][rows] = values
+        for name in names:
+            found[name][rows] = samples[name]
     calibration, z = uncertainty.calibration, inputs.grid.z
+    of_losses, of_stress = np.split(numbers.noise[len(VARIABLES) :], 2)
     for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=False):
         center = getattr(mean, name)
         found[name] -= center
         found[name] += noise[:, :, None, None] * calibration.shared_error(name, inputs.inflow, z)
         if name == "pressure":
-            relative, constant, varying = uncertainty.losses
-            losses, dynamic = _loss_scales(center, inputs, model.config)
-            phase = 2 * np.pi * inputs.grid.time[:, None] / inputs.grid.period
-            multiples = numbers.noise[len(VARIABLES) :, :, :, None, None]
-            found[name] += relative * multiples[0] * losses
-            wave = multiples[2] * np.cos(phase) + multiples[3] * np.sin(phase)
-            found[name] += (constant * multiples[1] + varying * wave) * dynamic
+            parts = _loss_scales(center, inputs, model.config)
+            found[name] += _vary(uncertainty.losses, of_losses, *parts, inputs.grid)
         found[name] *= scale
         found[name] += center
+    if (name := "wall_shear_stress") in found:
+        parts = found[name], _poiseuille(inputs, uncertainty.amplitude, model.config)
+        varied = _vary(uncertainty.wall_shear_stress, of_stress, *parts, inputs.grid)
+        found[name] = np.abs(found[name] + varied)  # it is a magnitude
     return found

@@ -49,6 +49,7 @@ def model():
         members,
         np.array([0.5]),
         np.zeros(3),
+        np.empty(0),
         np.array([[0.01], [1e-4], [500.0]]) * np.ones(41),
         np.ones(3),
         np.zeros(1),

@@ -86,7 +86,10 @@ def damaged(model_file, path, change):
 
 
 NEEDED = (
-    *(f"uncertainty_{name}" for name in ("members", "shift", "profile", "scale", "amplitude")),
+    *(
+        f"uncertainty_{name}"
+        for name in ("members", "shift", "profile", "scale", "amplitude", "wall_shear_stress")
+    ),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("center", "axes")),
     *(f"{of}_{name}" for of in ("novelty_inflow", "novelty_area") for name in ("range", "rest")),
     *("novelty_ranges", "outlet", "losses", "wall", "correction", "history", "time", "z", "period"),

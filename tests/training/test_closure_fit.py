@@ -118,7 +118,7 @@ def test_wall_shear_stress_is_found_from_its_magnitude(cases, closures):
     assert cases.wall_shear_stress.min() >= 0
     start = error_of_the_shear(cases, WALL_SHEAR_STRESS)
     others = PASSIVE.replace(wall_shear_stress=np.empty(0))
-    found = fit.fit_wall_shear_stress(closures, others, cases, CONFIG)
+    found = fit.fit_wall_shear_stress(closures, others, cases, CONFIG, [[]])[0]
     assert start > 0.1
     assert error_of_the_shear(cases, found) < 0.01
     assert found[0] == pytest.approx(SHEAR[0], rel=0.05)
@@ -126,7 +126,7 @@ def test_wall_shear_stress_is_found_from_its_magnitude(cases, closures):
 
 def test_parameters_without_a_wall_shear_stress_are_the_start(cases, closures):
     without = as_cases((cases.flow, cases.area, cases.pressure))
-    found = fit.fit_wall_shear_stress(closures, PASSIVE, without, CONFIG)
+    found = fit.fit_wall_shear_stress(closures, PASSIVE, without, CONFIG, [[]])[0]
     assert np.array_equal(found, WALL_SHEAR_STRESS)
 
 

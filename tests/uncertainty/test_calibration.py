@@ -59,7 +59,8 @@ class ByHand:
             *(
                 values + unit * np.multiply.outer(error, np.ones((4, 1)) * along)
                 for values, unit, along in zip(truth(inflow)[:3], UNITS, ALONG, strict=True)
-            )
+            ),
+            20.0 * truth(inflow).flow,
         )
 
 
@@ -95,7 +96,7 @@ def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift,
     members = [np.array([1.0]), np.array([-1.0])]
     left_out = [np.arange(5), np.arange(5, 10)]
     model = SampledModel(ByHand(AMOUNT, 20.0 * responding), PARAMETERS, PHYSICS)
-    found = calibrate(model, members, left_out, ten_cases, rng)
+    found = calibrate(model, members, [np.ones(9)] * 2, left_out, ten_cases, rng)
     assert np.array_equal(found.members, members)
     assert found.shift == [shift]
     # 68 % of the cases are off by one at most.
@@ -113,6 +114,7 @@ def drawn(
         np.array(members, dtype=float)[:, None],
         np.array([shift]),
         np.array(losses),
+        np.empty(0),
         UNITS[:, None] * profile,
         np.array(scale),
         np.zeros(1),
@@ -169,15 +171,14 @@ def test_errors_of_the_losses_do_not_cancel_in_a_drop():
     inflow, area = inflow_of(2), np.full((2, 6), 0.1)
     flow, fields, *_ = truth(inflow)
     below = np.array([5.0, 4.0, 4.0, 1.0, 1.0, 0.0])
-    mean = Solution(flow, fields, 1e5 + 100.0 * flow * below)
-    engine = SimpleNamespace(
-        predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean[:3]))
-    )
+    mean = Solution(flow, fields, 1e5 + 100.0 * flow * below, flow)
+    engine = SimpleNamespace(predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean)))
     profile = np.array([[0.0], [0.0], [50.0]]) * np.ones(6)
     uncertainty = Uncertainty(
         np.zeros((1, 1)),
         np.zeros(1),
         np.array(widths),
+        np.empty(0),
         profile,
         np.array([1.0, 1.0, 0.5]),
         np.zeros(1),
@@ -194,6 +195,52 @@ def test_errors_of_the_losses_do_not_cancel_in_a_drop():
     assert np.allclose(drop.std(axis=0), expected, rtol=0.05)
     of_means = 0.5 * np.hypot(relative * losses, constant * dynamic)[:, 0]
     assert np.allclose(drop.mean(axis=-1).std(axis=0), of_means, rtol=0.05)
+
+
+def test_wall_shear_stress_varies_with_itself_and_with_poiseuilles():
+    inflow, area = inflow_of(2), np.full((2, 6), 0.1)
+    mean = Solution(*truth(inflow)[:3], 20.0 * truth(inflow).flow)
+    widths = 0.1, 0.02, 0.03
+    uncertainty = Uncertainty(
+        np.ones((1, 1)),
+        np.zeros(1),
+        np.zeros(3),
+        np.array(widths),
+        np.zeros((3, 6)),
+        np.ones(3),
+        np.zeros(1),
+    )
+    numbers = RandomNumbers.generate(uncertainty, 4000, 2, np.random.default_rng(1))
+    model = SampledModel(ByHand([0.0, 0.0], 0.0), PARAMETERS, PHYSICS)
+    found = sample(model, uncertainty, mean, ModelInputs(inflow, area, GRID), numbers)
+    stress = found["wall_shear_stress"]
+    poiseuille = 4 * 0.04 * inflow[:, :, None] / (np.pi * (0.1 / np.pi) ** 1.5)
+    expected = np.hypot(0.1 * mean.wall_shear_stress, np.hypot(0.02, 0.03) * poiseuille)
+    assert np.allclose(stress.std(axis=0), expected, rtol=0.05)
+    of_means = np.hypot(0.1 * mean.wall_shear_stress, 0.02 * poiseuille)[:, 0]
+    assert np.allclose(stress.mean(axis=2).std(axis=0), of_means, rtol=0.05)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_errors_of_the_wall_shear_stress_are_calibrated_where_it_is_known(ten_cases, known):
+    """A stress that is 25 % too high at all points needs intervals of a quarter on each side."""
+    stress = 16.0 * ten_cases.flow if known else None
+    fields = {name: getattr(ten_cases, name) for name in ("flow", "area", "pressure")}
+    grid = ten_cases.area_undeformed, ten_cases.time, ten_cases.z
+    with pytest.warns(UnitsWarning):
+        cases = Cases(*fields.values(), *grid, wall_shear_stress=stress, period=1.0, check=False)
+    model = SampledModel(ByHand(AMOUNT, 0.0), PARAMETERS, PHYSICS)
+    left_out = [np.arange(5), np.arange(5, 10)]
+    members = [np.array([1.0]), np.array([-1.0])]
+    given = model, members, [np.ones(9)] * 2, left_out, cases
+    found = calibrate(*given, np.random.default_rng(0)).wall_shear_stress
+    if not known:
+        assert found.shape == (0,)
+        return
+    error, values = 4.0 * cases.inflow, 20.0 * cases.inflow
+    poiseuille = 4 * 0.04 * cases.inflow / (np.pi * (0.1 / np.pi) ** 1.5)
+    width = np.hypot(found[0] * values, np.hypot(*found[1:]) * poiseuille)
+    assert np.quantile(error / width, 0.9) == pytest.approx(NormalDist().inv_cdf(0.95), rel=1e-6)
 
 
 @pytest.mark.parametrize(("constant", "varying"), [(0.3, 0.4), (0.0, 0.5), (0.5, 0.0)])
