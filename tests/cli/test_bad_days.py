@@ -431,9 +431,17 @@ def test_a_program_without_a_guard_runs_once(tmp_path):
     assert (found.returncode, found.stdout) == (0, "{'t0': 0, 't1': 1, 't2': 2}\n"), found.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGHUP])
-def test_workers_end_with_their_parent(tmp_path, number):
-    parent = subprocess.Popen(program(tmp_path, 600), stderr=subprocess.DEVNULL)
+def default_signals():
+    """Undo what ``nohup`` sets, which processes inherit."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGKILL", "SIGHUP"])
+def test_workers_end_with_their_parent(tmp_path, name):
+    parent = subprocess.Popen(
+        program(tmp_path, 600), stderr=subprocess.DEVNULL, preexec_fn=default_signals
+    )
     until = time.monotonic() + 120
     while len(list((tmp_path / "pids").iterdir())) < 2:
         assert parent.poll() is None
@@ -441,7 +449,7 @@ def test_workers_end_with_their_parent(tmp_path, number):
         time.sleep(0.05)
     others = psutil.Process(parent.pid).children(recursive=True)
     assert len(others) >= 2
-    parent.send_signal(number)
-    parent.wait()
+    parent.send_signal(getattr(signal, name))
+    parent.wait(timeout=20)
     _, alive = psutil.wait_procs(others, timeout=5)
     assert alive == []
