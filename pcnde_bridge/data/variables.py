@@ -6,7 +6,7 @@ VARIABLES = ("flow", "area", "pressure")
 """Variables that every model predicts, each of shape (case, time, z)."""
 
 FIELDS = (*VARIABLES, "wall_shear_stress")
-"""These, and the wall shear stress, which data sets and predictions may lack."""
+"""All variables, including the wall shear stress, which data sets and predictions may lack."""
 
 UNITS = {
     "flow": "mL/s",

@@ -139,7 +139,7 @@ def _reason(
     nearest = int(np.linalg.norm(moved, axis=1).argmin())
     most = int(np.abs(moved[nearest]).argmax())
     there = values[before[nearest], most]
-    return f"{names[most]} {values[case, most]:.3g}; in the nearest one before, {there:.3g}"
+    return f"{names[most]} {values[case, most]:.3g}; nearest chosen case: {there:.3g}"
 
 
 def expected_errors(
@@ -147,7 +147,7 @@ def expected_errors(
 ) -> pd.DataFrame:
     """Estimate the errors of a model for cases without results, as a stopping rule.
 
-    The distances of a calibrated model's samples from their mean stand for its errors.
+    The distances of a calibrated model's samples from their mean estimate its errors.
 
     Parameters
     ----------

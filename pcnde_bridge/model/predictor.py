@@ -19,6 +19,7 @@ from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import stated_units
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
@@ -212,10 +213,10 @@ class Predictor(ABC):
         else:
             inputs = inputs_from_arrays(self.grid, self.any_grid, *given)
         samples, at_once = whole("samples", samples), min(batch or len(inputs), len(inputs))
-        fields = 3 * at_once * inputs.grid.time.size * inputs.grid.z.size
+        fields = len(FIELDS) * at_once * inputs.grid.time.size * inputs.grid.z.size
         numbers = (self._copies + samples) * fields + 8 * samples * len(inputs)
         what = f"A prediction of {counted(at_once, 'case')} with {counted(samples, 'sample')}"
-        check_memory(what, numbers, "request fewer samples, or use predict_batches or less cases")
+        check_memory(what, numbers, "request fewer samples, or use predict_batches or fewer cases")
         random = self._random_numbers(samples, seed, len(inputs))
         scores = self.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
         novelty = np.max(list(scores.values()), axis=0) if scores else None
@@ -230,10 +231,10 @@ class Predictor(ABC):
             beyond = {name: score[worst] for name, score in scores.items() if score[worst] > EDGE}
             ranked = sorted(beyond, key=lambda name: -beyond[name])
             warnings.warn(
-                f"{outside.sum()} of {len(novelty)} cases lie outside the training data, most of "
-                f"all case {worst} in "
+                f"{outside.sum()} of {len(novelty)} cases lie outside the training data; the "
+                f"farthest is case {worst}, in "
                 + ", ".join(f"{name} (score {beyond[name]:.2f})" for name in ranked)
-                + "; 1 is the edge of the training data. The prediction extrapolates.",
+                + "; 1 is the limit of the tested range. The prediction extrapolates.",
                 OutsideTrainingWarning,
                 stacklevel=3,
             )
@@ -250,8 +251,9 @@ class Predictor(ABC):
             )
         if self.uncertainty is None:
             raise InputError(
-                "This model has no uncertainty to draw samples from. Fit it with the preset "
-                "'physics' (and correction.folds > 0). An ensemble's samples are its members."
+                "This model has no uncertainty to draw samples from: that needs the preset "
+                "'physics', at least four training cases and correction.folds > 0. An ensemble's "
+                "samples are its members."
             )
         return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
 

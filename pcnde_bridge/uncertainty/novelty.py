@@ -1,8 +1,8 @@
 """Distance of an input from the training data, as scores.
 
 Each case is described by quantities with a name, such as the amplitude of the inflow or the
-blockage.  A quantity's score is 1 at the edge of the range of the training cases, and 1.2 a
-fifth of the half width beyond the edge.  Where fits that left out cases have shown how far a
+blockage.  A quantity's score is 1 at the edge of the range of the training cases, and 1.2
+is 0.2 half widths beyond it.  Where fits that left out cases have shown how far a
 model extrapolates, the range reaches as far beyond the training cases as those cases lay beyond
 the others.
 

@@ -204,7 +204,7 @@ def test_batches_check_and_warn_of_all_inputs_before_the_first(model):
             model.predict_batches(*arguments, **options)
     inflow = INFLOW.copy()
     inflow[14] *= 1.5
-    with pytest.warns(OutsideTrainingWarning, match="1 of 16 .* case 14 in mean flow") as caught:
+    with pytest.warns(OutsideTrainingWarning, match="1 of 16 .* case 14, in mean flow") as caught:
         parts = model.predict_batches(inflow, AREA, batch=6)
     assert caught[0].filename == __file__
     with warnings.catch_warnings():
@@ -408,7 +408,7 @@ def test_stronger_inflow_and_narrower_and_longer_vessels_are_outside(model):
         score, text = scored(model, *arguments, **options)
         assert list(np.flatnonzero(score > 1 + 1e-9)) == [case]
         assert "1 of 16 cases lie outside" in text
-        assert f"case {case} in {what} (score {score[case]:.2f}" in text
+        assert f"case {case}, in {what} (score {score[case]:.2f}" in text
     score, text = scored(model, INFLOW, AREA, z=1.3 * Z)
     assert (score > 1).all()
     assert "16 of 16" in text
