@@ -51,7 +51,7 @@ def prediction_figure(prediction: Prediction, cases: Cases) -> Figure:
     axis.plot(z, prediction.pressure[0, peak] / MMHG, color="C0", label="physics")
     band(axis, z, (low[0, peak] / MMHG, high[0, peak] / MMHG), "C0")
     axis.set(title="out: pressure at peak inflow", xlabel="z (cm)", ylabel="p (mmHg)")
-    axis.legend(frameon=False)
+    axis.legend(frameon=False, loc="lower left")
     axis = axes[1, 1]
     axis.plot(z[::2], cases.wall_shear_stress[0, peak, ::2], **TRUTH)
     axis.plot(z, prediction.wall_shear_stress[0, peak], color="C0")

@@ -5,6 +5,7 @@ Exit codes: 0 success, 2 invalid use or input, 1 other failure, 130 interrupted.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import logging
@@ -16,7 +17,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -129,7 +130,10 @@ def _fail(message: str, code: int) -> NoReturn:
 def _unexpected(error: Exception) -> str:
     """Write a report about an error that no message was written for; return a line about it."""
     packages = ("numpy", "pandas", "scipy", "jax", "h5py", "juliacall")
-    versions = [f"{name} {version(name)}" for name in packages]
+    versions = []
+    for name in packages:
+        with contextlib.suppress(PackageNotFoundError):
+            versions.append(f"{name} {version(name)}")
     facts = [f"pcnde_bridge {__version__}", f"Python {sys.version}", platform.platform(), *versions]
     text = "\n".join([shlex.join(sys.argv), *facts, *traceback.format_exception(error)])
     [what, *_] = traceback.format_exception_only(error)[-1].splitlines()

@@ -103,7 +103,10 @@ class Prediction(VesselQuantities):
         factor = _normal_quantile(level)
         width = {name: factor * values for name, values in self.standard_deviation().items()}
         mean = self.variables()
-        return {name: (mean[name] - width[name], mean[name] + width[name]) for name in width}
+        limits = {name: (mean[name] - width[name], mean[name] + width[name]) for name in width}
+        if (name := "wall_shear_stress") in limits:  # a magnitude
+            limits[name] = np.maximum(limits[name][0], 0.0), limits[name][1]
+        return limits
 
     def each_sample(self) -> Iterator[Prediction]:
         """Return the samples one by one, each as a prediction without samples.

@@ -268,7 +268,9 @@ def test_load_cases_from_anywhere(small_cases, tmp_path, monkeypatch):
 
 
 def test_load_cases_refuses(tmp_path):
-    with pytest.raises(DataNotFoundError, match=r"'publishd' is neither .* data set: 'published'"):
+    with pytest.raises(
+        DataNotFoundError, match=r"'publishd' is neither .* data set's name: 'published'"
+    ):
         load_cases("publishd")
     with pytest.raises(DataNotFoundError, match="holds no folders named case_G_W"):
         load_cases(tmp_path)
