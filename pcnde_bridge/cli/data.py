@@ -92,6 +92,7 @@ def design(
     done: Path | None = option(
         None, "Data set of finished simulations, with the labels of this command."
     ),
+    units: str | None = options.UNITS,
     period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
 ) -> None:
     """Choose the simulations to run, from inflows and vessels.
@@ -105,7 +106,8 @@ def design(
     from pcnde_bridge.io.input_tables import read_candidates
     from pcnde_bridge.model.pcnde import PCNDE
 
-    candidates, labels = designs.all_pairs(*read_candidates(inflow, area, period))
+    given = read_candidates(inflow, area, period)
+    candidates, labels = designs.all_pairs(*given, units=units_of(units))
     finished = None if done is None else load_cases(str(done))
     pairs = [] if finished is None else case_keys(finished.labels)
     positions = pair_positions(labels, pairs, str(done)).tolist() if pairs else []

@@ -10,7 +10,7 @@ method was chosen by errors on left-out cases, see the page "How many simulation
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,11 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import make_folder, write_csv
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.model.inputs import Inputs, check_plausible
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Predictor
@@ -31,7 +33,10 @@ from pcnde_bridge.uncertainty.novelty import QUANTITIES, Novelty, describe
 
 
 def all_pairs(
-    inflow: Array, area_undeformed: Array, grid: Grid
+    inflow: Array,
+    area_undeformed: Array,
+    grid: Grid,
+    units: str | Mapping[str, str] | None = None,
 ) -> tuple[ModelInputs, pd.DataFrame]:
     """Combine every vessel with every inflow, as candidates.
 
@@ -43,17 +48,31 @@ def all_pairs(
         S_u, cm².
     grid : Grid
         Their time points and points.
+    units : str or mapping, optional
+        Units of the inputs, see :meth:`pcnde_bridge.PCNDE.predict`; CGS by default.
 
     Returns
     -------
     candidates : ModelInputs
-        The waveforms vary fastest.
+        The waveforms vary fastest; CGS units.
     labels : DataFrame
         Columns ``geometry`` and ``waveform``, numbers from 1, a row for each candidate.
+
+    Raises
+    ------
+    InputError
+        If a mean inflow is negative, or the units are wrong or ambiguous.
     """
+    stated = stated_units(units)
+    factor = factors_to_cgs(stated)
+    time, period = factor["time"] * grid.time, factor["time"] * grid.period
+    grid = Grid(time, factor["z"] * grid.z, period)
+    inflow, area_undeformed = factor["flow"] * inflow, factor["area"] * area_undeformed
     geometry, waveform = np.indices((len(area_undeformed), len(inflow))).reshape(2, -1)
     labels = pd.DataFrame({"geometry": geometry + 1, "waveform": waveform + 1})
-    return ModelInputs(inflow[waveform], area_undeformed[geometry], grid), labels
+    candidates = ModelInputs(inflow[waveform], area_undeformed[geometry], grid)
+    check_plausible(Inputs(*candidates), np.ones(len(labels), dtype=bool), stated, None)
+    return candidates, labels
 
 
 def choose(

@@ -40,6 +40,20 @@ def test_all_pairs_have_every_vessel_with_every_inflow(arrays, candidates):
     assert np.array_equal(inputs.area_undeformed[7], arrays[1][1])
 
 
+def test_units_are_converted_and_implausible_candidates_are_refused(arrays):
+    inflow, area, grid = arrays
+    millimeters = 1e3 * inflow, 1e2 * area, Grid(grid.time, 10 * grid.z, grid.period)
+    expected, _ = design.all_pairs(*arrays)
+    found, _ = design.all_pairs(*millimeters, units="mm-g-s")
+    assert found.inflow == pytest.approx(expected.inflow)
+    assert found.area_undeformed == pytest.approx(expected.area_undeformed)
+    assert found.grid.z == pytest.approx(grid.z)
+    with pytest.raises(InputError, match="unit"):
+        design.all_pairs(*millimeters)
+    with pytest.raises(InputError, match="must not be negative"):
+        design.all_pairs(-inflow, area, grid)
+
+
 def test_corners_come_first_and_then_the_middle(candidates):
     inputs, labels = candidates
     chosen = design.choose(inputs, 6)
