@@ -38,7 +38,10 @@ end
 
 function Network(chain::Chain)
     layers = values(chain.layers)
-    return Network(fast(first(layers).activation), [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers])
+    return Network(
+        fast(first(layers).activation),
+        [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers],
+    )
 end
 
 # Like Lux, replace some activations by faster ones of the same accuracy.

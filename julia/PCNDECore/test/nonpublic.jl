@@ -3,7 +3,8 @@ Names that are documented for users but not exported by their packages.
 """
 const DOCUMENTED = (
     # Base, Random, TOML
-    Symbol("@preserve"), :ArrayStyle, :BroadcastStyle, :Broadcasted, :IteratorSize, :SizeUnknown,
+    Symbol("@preserve"), :ArrayStyle, :BroadcastStyle, :Broadcasted, :IteratorSize,
+    :SizeUnknown,
     :default_rng, :parse,
     # ForwardDiff
     :Chunk, :Dual, :JacobianConfig, :gradient, :jacobian, :value,
