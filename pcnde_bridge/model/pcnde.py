@@ -208,8 +208,6 @@ class PCNDE(Predictor):
         config = config_from(facts["config"])
         kind = kind_of(config)
         spread, known = (with_prefix(name, arrays) for name in ("uncertainty_", "novelty_"))
-        # Older files spell "centre".
-        known = {name.replace("centre", "center"): array for name, array in known.items()}
         return cls(
             config,
             kind.parameters(**{f.name: arrays[f.name] for f in fields(kind.parameters)}),

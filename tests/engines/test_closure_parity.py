@@ -85,7 +85,7 @@ def test_walls(both, solution, config, parameters):
 
 
 def test_wall_shear_stress(both, solution):
-    """Of two jets among the others, and of reversed flow."""
+    """The stress behind two jets, in one batch with other vessels, and in reversed flow."""
     area = AREA.copy()
     area[5] = vessel(1.0, 2.7)
     flow_rate = np.gradient(solution.flow, GRID.time, axis=1)

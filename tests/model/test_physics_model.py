@@ -96,14 +96,6 @@ NEEDED = (
 )
 
 
-def test_older_files_with_the_british_spelling_can_be_read(model_file, tmp_path, model):
-    def rename(_, arrays):
-        for name in ("novelty_inflow", "novelty_area"):
-            arrays[f"{name}_centre"] = arrays.pop(f"{name}_center")
-
-    assert same_numbers(PCNDE.load(damaged(model_file, tmp_path / "model", rename)), model)
-
-
 @pytest.mark.parametrize("name", NEEDED)
 def test_model_without_one_of_its_arrays_is_a_file_error(model_file, tmp_path, name):
     path = damaged(model_file, tmp_path / "model", lambda _, arrays: arrays.pop(name))
