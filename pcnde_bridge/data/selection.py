@@ -51,6 +51,13 @@ def select_positions(labels: pd.DataFrame, index: Any, wanted: Mapping[str, Any]
     return _each_once(positions, "select")
 
 
+def some_of(positions: Positions, most: int) -> Positions:
+    """Return the positions, or so many of them, chosen at random, the same ones every time."""
+    if len(positions) <= most:
+        return positions
+    return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
+
+
 def _from_index(labels: pd.DataFrame, index: Any) -> Positions:
     """Return the positions for an integer, a slice, a list, a mask or pairs."""
     if isinstance(index, tuple) and all(np.ndim(i) == 0 for i in index):

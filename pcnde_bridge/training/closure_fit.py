@@ -7,8 +7,9 @@ same parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.indices import measuring_positions, values_at
-from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.data.selection import Positions, some_of
 from pcnde_bridge.engines.closure_parameters import (
     CORRECTION_SCALARS,
     WALL_SHEAR_STRESS,
@@ -28,6 +29,9 @@ from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
 from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
+
+_BLOCK = 64
+"""Largest number of cases whose values and Jacobian are in memory at once."""
 
 _TIMES = 25
 """Time points on which losses and wall are fitted: without memory, few are enough."""
@@ -40,6 +44,9 @@ _FLOW_POINTS = 5
 
 _SHEAR_PENALTY = 1e-3
 """Penalty of a change of the wall shear stress's parameters, relative to the term's square."""
+
+_SHEAR_CASES = 256
+"""Largest number of cases to which the wall shear stress is fitted: it is nine numbers."""
 
 _SIGN_CHANGES = 30
 """Largest number of fits of the wall shear stress, each with the signs of the fit before."""
@@ -144,28 +151,32 @@ def fit_losses(
 ) -> Fit:
     """Fit the losses to p − p(L) and to the drop across the stenosis, with the reference flow."""
     times = _few_times(cases)
-    flow, pressure = cases.flow[:, times], cases.pressure[:, times]
-    flow_rate = _flow_rate(cases)[:, times]
-    problem = closures.losses(flow, flow_rate, cases.area_undeformed, cases.grid, config)
-    target = pressure - pressure[:, :, -1:]
-    along_vessel = _relative(problem, target, float(np.linalg.norm(target)))
-    # Weights of the points in the drop of each case.
-    points = np.broadcast_to(np.eye(cases.n_points), (len(cases), cases.n_points, cases.n_points))
-    proximal, distal = measuring_positions(cases.z, cases.area_undeformed)
-    drop = values_at(points, cases.z, proximal) - values_at(points, cases.z, distal)
+    scale = float(np.linalg.norm(cases.pressure[:, times] - cases.pressure[:, times, -1:]))
 
-    def residual(x: Array) -> tuple[Array, Array]:
-        error, jacobian = along_vessel(x)
-        drop_error = _DROP_WEIGHT * np.einsum("ctz,cz->ct", error, drop)
-        drop_jacobian = _DROP_WEIGHT * np.einsum("ctzn,cz->ctn", jacobian, drop)
-        return (
-            np.concatenate([error.ravel(), drop_error.ravel()]),
-            np.concatenate([a.reshape(-1, x.size) for a in (jacobian, drop_jacobian)]),
-        )
+    def residual_of(part: Cases, _: slice) -> Problem:
+        flow, flow_rate, pressure = part.flow[:, times], _flow_rate(part)[:, times], part.pressure
+        problem = closures.losses(flow, flow_rate, part.area_undeformed, part.grid, config)
+        along_vessel = _relative(problem, pressure[:, times] - pressure[:, times, -1:], scale)
+        # Weights of the points in the drop of each case.
+        points = np.broadcast_to(np.eye(part.n_points), (len(part), part.n_points, part.n_points))
+        proximal, distal = measuring_positions(part.z, part.area_undeformed)
+        drop = values_at(points, part.z, proximal) - values_at(points, part.z, distal)
+
+        def residual(x: Array) -> tuple[Array, Array]:
+            error, jacobian = along_vessel(x)
+            drop_error = _DROP_WEIGHT * np.einsum("ctz,cz->ct", error, drop)
+            drop_jacobian = _DROP_WEIGHT * np.einsum("ctzn,cz->ctn", jacobian, drop)
+            return (
+                np.concatenate([error.ravel(), drop_error.ravel()]),
+                np.concatenate([a.reshape(-1, x.size) for a in (jacobian, drop_jacobian)]),
+            )
+
+        return residual
 
     given = [getattr(config.losses, name) for name in _LOSSES]
     evaluations = config.correction.evaluations
-    return _solve(residual, list(_LOSSES.values()), given, evaluations, on_iteration)
+    problem = _in_blocks(cases, residual_of)
+    return _solve(problem, list(_LOSSES.values()), given, evaluations, on_iteration)
 
 
 def fit_wall(
@@ -174,7 +185,7 @@ def fit_wall(
     """Fit the wall parameters to S, with the reference pressure."""
     times = _few_times(cases)
     pressure, target = cases.pressure[:, times], cases.area[:, times]
-    problem = closures.area(pressure, cases.area_undeformed, cases.grid, config)
+    scale = float(np.linalg.norm(target))
     # Stiffness and zero pressure start from a quarter of the length, where the vessel is wide.
     point = cases.n_points // 4
     radius = np.sqrt(cases.area_undeformed[:, None, point] / np.pi)
@@ -190,10 +201,15 @@ def fit_wall(
         **(_MEMBRANE if membrane else _TUBE_LAW),
         "zero_pressure": (zero, *_UNBOUNDED),
     }
-    residual = _relative(problem, target, float(np.linalg.norm(target)))
+
+    def residual_of(part: Cases, rows: slice) -> Problem:
+        problem = closures.area(pressure[rows], part.area_undeformed, part.grid, config)
+        return _relative(problem, target[rows], scale)
+
     given = [getattr(config.wall, name) for name in parameters]
     evaluations = config.correction.evaluations
-    return _solve(residual, list(parameters.values()), given, evaluations, on_iteration)
+    problem = _in_blocks(cases, residual_of)
+    return _solve(problem, list(parameters.values()), given, evaluations, on_iteration)
 
 
 def fit_wall_shear_stress(
@@ -212,18 +228,19 @@ def fit_wall_shear_stress(
     list of arrays of shape (n,)
         Parameters of the fit to the other cases, for each of ``left_out``.
     """
-    start = WALL_SHEAR_STRESS
+    start, rows = WALL_SHEAR_STRESS, some_of(np.arange(len(cases)), _SHEAR_CASES)
     if cases.wall_shear_stress is None:
         return [start] * len(left_out)
-    times = _few_times(cases)
-    flow, flow_rate = cases.flow[:, times], _flow_rate(cases)[:, times]
+    times, part = _few_times(cases), cases[rows]
+    flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
     others = others.replace(wall_shear_stress=start)
     problem = closures.wall_shear_stress(
-        others, flow, flow_rate, cases.area_undeformed, cases.grid, config
+        others, flow, flow_rate, part.area_undeformed, part.grid, config
     )
-    target = np.abs(cases.wall_shear_stress[:, times])
+    target = np.abs(cases.wall_shear_stress[rows][:, times])
     parts = *problem(start), target
-    return [start + _linear_fit(*(np.delete(a, fold, axis=0) for a in parts)) for fold in left_out]
+    used = [~np.isin(rows, fold) for fold in left_out]
+    return [start + _linear_fit(*(array[mask] for array in parts)) for mask in used]
 
 
 def _linear_fit(value: Array, slope: Array, target: Array) -> Array:
@@ -250,7 +267,8 @@ def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generat
     1 − (Q_in − Q(L))/(κ ∂V/∂t), where the storage is more than half its largest; κ is the
     median of (Q_in − Q(L))/(∂V/∂t) where the storage is more than a tenth of its largest.
     """
-    volume = (cases.area[:, :, 1:] + cases.area[:, :, :-1]) / 2 @ np.diff(cases.z)
+    z = cases.z
+    volume = cases.area @ (np.diff(z, append=z[-1]) + np.diff(z, prepend=z[0])) / 2
     stored = rate(volume, cases.period)
     lost = cases.inflow - cases.flow[:, :, -1]
     clear = np.abs(stored) > 0.1 * np.abs(stored).max()
@@ -305,24 +323,30 @@ def fit_correction(
     points = np.unique(np.linspace(0, cases.n_points - 1, _FLOW_POINTS + 1).astype(int)[1:])
     target = cases.flow[:, :, points]
     factor = 100 * weight[:, None, None] / np.linalg.norm(weight[:, None, None] * target)
-    inputs = ModelInputs(cases.inflow, cases.area_undeformed, cases.grid)
-    problem = closures.flow(others, inputs, points, config)
+
+    def residual_of(part: Cases, rows: slice) -> Problem:
+        inputs = ModelInputs(part.inflow, part.area_undeformed, part.grid)
+        problem = closures.flow(others, inputs, points, config)
+
+        def residual(x: Array) -> tuple[Array, Array]:
+            value, jacobian = problem(x)
+            return factor[rows] * (value - target[rows]), factor[rows, ..., None] * jacobian
+
+        return residual
+
     # The weights decay towards a correction that is off.
     n_weights, decay = first.size - CORRECTION_SCALARS, np.sqrt(settings.weight_decay)
     prior = decay * np.eye(n_weights, first.size, CORRECTION_SCALARS)
     center = np.zeros(n_weights)
     center[-1] = _FIRST_LOGIT
 
-    def residual(x: Array) -> tuple[Array, Array]:
-        value, jacobian = problem(x)
-        error = (factor * (value - target)).ravel()
-        slope = (factor[..., None] * jacobian).reshape(-1, x.size)
-        distance = decay * (x[CORRECTION_SCALARS:] - center)
-        return np.concatenate([error, distance]), np.concatenate([slope, prior])
+    def penalty(x: Array) -> tuple[Array, Array]:
+        return decay * (x[CORRECTION_SCALARS:] - center), prior
 
     starts = [(start, *_UNBOUNDED) for start in first]
     given = [settings.storage, *first[1:CORRECTION_SCALARS], *[None] * n_weights]
-    return _solve(residual, starts, given, evaluations, on_iteration)
+    problem = _in_blocks(cases, residual_of, penalty)
+    return _solve(problem, starts, given, evaluations, on_iteration)
 
 
 def _few_times(cases: Cases) -> IntArray:
@@ -341,6 +365,35 @@ def _relative(problem: Problem, target: Array, scale: float) -> Problem:
     def residual(x: Array) -> tuple[Array, Array]:
         value, jacobian = problem(x)
         return (value - target) / scale, jacobian / scale
+
+    return residual
+
+
+def _blocks(cases: Cases) -> list[slice]:
+    """Divide the cases into as few blocks of nearly equal size as memory allows."""
+    count = -(-len(cases) // _BLOCK)
+    return [slice(a, b) for a, b in pairwise(np.linspace(0, len(cases), count + 1).astype(int))]
+
+
+def _in_blocks(
+    cases: Cases, residual_of: Callable[[Cases, slice], Problem], *others: Problem
+) -> Problem:
+    """Return a small problem with the sum of squares of all cases and of other terms.
+
+    For residuals r and their Jacobian J, the triangle R of the QR decomposition [J r] = Q·R
+    has the same products: its columns take the place of J and r, and no more than one block's
+    are in memory.  Triangles of blocks, one above the other, are decomposed once more.
+    """
+    parts = [residual_of(cases[rows], rows) for rows in _blocks(cases)]
+
+    def triangle(error: Array, jacobian: Array) -> Array:
+        columns = jacobian.reshape(error.size, -1), error.reshape(-1, 1)
+        return np.asarray(np.linalg.qr(np.concatenate(columns, axis=1), mode="r"))
+
+    def residual(x: Array) -> tuple[Array, Array]:
+        stacked = np.concatenate([triangle(*problem(x)) for problem in (*parts, *others)])
+        total = np.asarray(np.linalg.qr(stacked, mode="r"))
+        return total[:, -1], total[:, :-1]
 
     return residual
 
@@ -370,7 +423,7 @@ def _solve(
     @lru_cache(maxsize=1)  # SciPy asks for the residual, then for the Jacobian at the same point
     def evaluate(part: bytes) -> tuple[Array, Array]:
         value, jacobian = residual(whole(np.frombuffer(part)))
-        return value.ravel(), jacobian.reshape(-1, free.size)[:, free]
+        return value, jacobian[:, free]
 
     def value(part: Array) -> Array:
         error, _ = evaluate(part.tobytes())

@@ -13,7 +13,7 @@ from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
-from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.data.selection import Positions, some_of
 from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters, sizes
 from pcnde_bridge.engines.protocol import Engine
@@ -24,6 +24,7 @@ from pcnde_bridge.training.procedure import Procedure, RunState, Step
 from pcnde_bridge.uncertainty.sampling import SampledModel, calibrate
 
 _CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
+_TESTED = 64  # most cases of a fold on which the uncertainty is calibrated: for 90 % quantiles
 _RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
 
 
@@ -132,7 +133,8 @@ class ClosureTraining(Procedure[ClosureState]):
         rng = np.random.default_rng([state.seed, 1])
         model = SampledModel(self.engine.closures, state.parameters, self.config)
         stresses = self._wall_shear_stresses(state, self.left_out)
-        uncertainty = calibrate(model, members, stresses, self.left_out, self.cases, rng)
+        tested = [some_of(fold, _TESTED) for fold in self.left_out]
+        uncertainty = calibrate(model, members, stresses, tested, self.cases, rng)
         return replace(state, uncertainty=uncertainty)
 
     def _wall_shear_stresses(

@@ -32,6 +32,9 @@ from pcnde_bridge.errors import SolveError
 _BATCH = 64
 """Cases in one batch: their functions of time and of z fit into the processor's cache."""
 
+_STEP = 16
+"""Step of the numbers of cases for which values and Jacobians are compiled."""
+
 _SETTLED = 1e-9
 """Expected change of the flow below which the passes end, relative to the largest inflow."""
 
@@ -195,11 +198,10 @@ def _write_fields(
     np.abs(shear, out=shear)
 
 
-def _padded(cases: Any) -> Array:
-    """Repeat the last case up to one of two sizes, to limit the number of compilations."""
-    count = len(cases)
-    size = 1 if count == 1 else _BATCH
-    return np.concatenate([cases, np.repeat(cases[-1:], size - count, axis=0)])
+def _padded(cases: Any, size: int = _BATCH) -> Array:
+    """Repeat the last of several cases up to a size, to limit the number of compilations."""
+    missing = 0 if len(cases) == 1 else size - len(cases)
+    return np.concatenate([cases, np.repeat(cases[-1:], missing, axis=0)])
 
 
 @cache
@@ -278,9 +280,11 @@ def _problem(
     fixed: tuple[Any, ...],
     config: ClosureConfig,
 ) -> Problem:
-    """Transfer the data once; compile once for each shape."""
+    """Transfer the data once; compile once for each shape, of which there are few."""
+    count = len(jax.tree.leaves(cases)[0])
+    padded = jax.tree.map(partial(_padded, size=-(-count // _STEP) * _STEP), cases)
     with double_precision():
-        on_device = jax.tree.map(jnp.asarray, (cases, fixed))
+        on_device = jax.tree.map(jnp.asarray, (padded, fixed))
     settings = _relevant(config)
 
     def evaluate(parameters: Array) -> tuple[Array, Array]:
@@ -288,7 +292,7 @@ def _problem(
             value, jacobian = _value_and_jacobian(
                 function, jnp.asarray(parameters), *on_device, config=settings
             )
-            return np.asarray(value), np.asarray(jacobian)
+            return np.asarray(value)[:count], np.asarray(jacobian)[:count]
 
     return evaluate
 
