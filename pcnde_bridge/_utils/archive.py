@@ -83,7 +83,7 @@ def read_archive(
         If the file is missing, damaged, of another kind, or of a newer format.
     """
     with reading(path, f"a pcnde_bridge {what}"), np.load(path, allow_pickle=False) as archive:
-        facts = _facts(archive)
+        facts = stated_facts(archive)
         check_format(path, facts, kind, version, what)
         check_members(archive.zip, Path(path).stat().st_size)
         # A damaged length in an array's own header would end its reading before the checksum
@@ -125,15 +125,20 @@ def archive_kind(path: StrPath) -> str | None:
     """Return the kind that an archive states, or None if it cannot be read."""
     with contextlib.suppress(Exception), reading(path, "an archive"):
         with np.load(path, allow_pickle=False) as archive:
-            kind = _facts(archive)["format"]
+            kind = stated_facts(archive)["format"]
         return kind if isinstance(kind, str) else None
     return None  # read_archive explains the reason
 
 
-def _facts(archive: Any) -> dict[str, Any]:
-    """Return the JSON part of an open archive."""
-    if archive.zip.getinfo(f"{_HEADER}.npy").file_size > _LARGEST_HEADER:
-        raise ValueError("its header is too large")
+def stated_facts(archive: Any) -> dict[str, Any]:
+    """Return the JSON part of an open archive, or the format that a data set states."""
+    # Data sets state their format in arrays of their own.
+    stated = [name for name in (_HEADER, "format", "format_version") if name in archive]
+    for name in stated:
+        if archive.zip.getinfo(f"{name}.npy").file_size > _LARGEST_HEADER:
+            raise ValueError("its header is too large")
+    if _HEADER not in stated:
+        return {name: archive[name].item() for name in stated}
     facts = json.loads(str(archive[_HEADER]))
     if not isinstance(facts, dict):
         raise ValueError("its header is not a JSON object")
@@ -148,6 +153,7 @@ def check_format(path: StrPath, facts: dict[str, Any], kind: str, version: int, 
         if {kind, found} == _MODEL_KINDS:
             advice = f" Give a file of one {what}; pcnde_bridge.load_model reads either."
         other = f"a {found!r} file" if found else "something else"
+        other = "a data set" if found == "pcnde-cases" else other
         raise FileError(f"{path} is not a pcnde_bridge {what} but {other}.{advice}")
     found_version = facts.get("format_version")
     if not isinstance(found_version, int) or found_version > version:

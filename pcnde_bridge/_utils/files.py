@@ -449,3 +449,16 @@ def expanded(path: StrPath) -> Path:
     except (RuntimeError, OSError) as error:
         raise FileError(f"The folder {path} cannot be used: {error}.") from error
     return found
+
+
+def is_first_time(notice: str) -> bool:
+    """Return whether this user has not seen a notice yet, and note in the cache that it is seen."""
+    try:
+        mark = cache_folder(None) / f"{notice}.seen"
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    except (OSError, FileError):  # no cache
+        pass
+    return True

@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import permutations
 from numbers import Real
+from os import PathLike
+from pathlib import PurePath
 from typing import Any, TypeVar
 
 import numpy as np
@@ -123,8 +125,16 @@ def real_array(name: str, value: npt.ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If it is ragged, masked or not of real numbers.
+        If it is ragged, masked or not of real numbers, a path, or a table with its axis.
     """
+    if isinstance(value, str | PathLike) and PurePath(value).suffix:
+        raise InputError(f"{name} is the path {str(value)!r}: read the file, and pass its numbers.")
+    columns = [str(column) for column in getattr(value, "columns", ())]
+    if len(columns) > 1 and columns[0].lower() in ("time", "t", "z", "x"):
+        raise InputError(
+            f"{name} is a table with the columns {listed(columns)}: pass one column, such as "
+            f"table[{columns[1]!r}]."
+        )
     try:
         array = np.asarray(value)
     except ValueError as error:

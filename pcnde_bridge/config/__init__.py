@@ -25,6 +25,7 @@ __all__ = [
     "Config",
     "PCNDEConfig",
     "config_from",
+    "nearest_preset",
     "resolve_config",
     "resolve_pcnde_config",
 ]
@@ -87,7 +88,8 @@ def resolve_config(config: Config | str) -> Config:
         return config
     if isinstance(config, str) and config in PRESETS:
         return PRESETS[config]
-    raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.")
+    advice = " Change a preset by FAST.replace(...)." if isinstance(config, Mapping) else ""
+    raise InputError(f"Unknown preset {config!r}; the presets are {sorted(PRESETS)}.{advice}")
 
 
 def resolve_pcnde_config(config: Config | str) -> PCNDEConfig:
@@ -104,4 +106,33 @@ def resolve_pcnde_config(config: Config | str) -> PCNDEConfig:
             "This study needs the paper's equations: give a PCNDEConfig or its preset ('paper', "
             "'published-code', 'fast'), not the preset 'physics'."
         )
+    return found
+
+
+def nearest_preset(config: Config) -> tuple[str, dict[str, Any]]:
+    """Return the preset with the fewest settings that differ, and these settings.
+
+    Examples
+    --------
+    >>> from pcnde_bridge.config import FAST, nearest_preset
+    >>> nearest_preset(FAST.replace(flow={"steps": 24}))
+    ('fast', {'flow.steps': 24})
+    """
+    mine = _flat(config)
+    differences = {
+        name: {key: value for key, value in mine.items() if theirs[key] != value}
+        for name, preset in PRESETS.items()
+        if type(preset) is type(config)
+        for theirs in [_flat(preset)]
+    }
+    name = min(differences, key=lambda name: len(differences[name]))
+    return name, differences[name]
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    """Return the settings by names such as ``flow.epochs``."""
+    found: dict[str, Any] = {}
+    for name, value in config.to_dict().items():
+        group = isinstance(value, dict)
+        found |= {f"{name}.{k}": v for k, v in value.items()} if group else {name: value}
     return found

@@ -17,7 +17,7 @@ Loss = Literal["mean", "sum"]
 Term = Literal["friction", "convection", "inertia"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Physics(Section):
     """Blood, wall and stenosis (section 2.5 of the paper).
 
@@ -47,7 +47,7 @@ class Physics(Section):
     turbulent_coefficient: float = 1.52
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BFGS(Section):
     """Optimizer of every stage: Optim.jl's ``BFGS`` with ``BackTracking``.
 
@@ -73,7 +73,7 @@ class BFGS(Section):
     gradient_tolerance: float = 1e-8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FlowStage(Section):
     """Momentum equation ∂Q/∂z = f_θ(Q, S) + physics terms, a neural ODE in z.
 
@@ -119,7 +119,7 @@ class FlowStage(Section):
     loss: Loss = "mean"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TemporalFlowStage(Section):
     """Momentum equation ∂Q/∂t = f_θ(Q) or f_θ(Q, t), a neural ODE in time (section 2.3).
 
@@ -148,7 +148,7 @@ class TemporalFlowStage(Section):
     iterations: int = positive(5)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IntermediateAreaStage(Section):
     """Continuity equation ∂Ŝ/∂t = −â(z) ∂Q/∂z + b̂(z), from S_u over some cycles.
 
@@ -164,7 +164,7 @@ class IntermediateAreaStage(Section):
     iterations: int = positive(5)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FourierAreaStage(Section):
     """Periodic area as a Fourier series, S_n = −a(z)/(iω_n) ∂Q_n/∂z.
 
@@ -199,7 +199,7 @@ class FourierAreaStage(Section):
     restart: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TemporalPressureStage(Section):
     """First pressure stage, p̂* = 1 + E·h/(r₀·p_ref) g_θ(S, S − S_u, Δp, Q).
 
@@ -223,7 +223,7 @@ class TemporalPressureStage(Section):
     pressure_drop_input: Literal["normalized", "dyn"] = "normalized"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SpatialPressureStage(Section):
     """Second pressure stage: constant, tanh at the stenosis, constant.
 
@@ -241,7 +241,7 @@ class SpatialPressureStage(Section):
     form: Literal["continuous", "printed"] = "continuous"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FullBatch(Section):
     """Training on all cases together, with least squares for linear parameters.
 
@@ -294,7 +294,7 @@ class FullBatch(Section):
     pressure_weight_decay: float = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PCNDEConfig(Settings):
     """All settings of a PCNDE, grouped per stage; the default is the paper's.
 
@@ -341,7 +341,7 @@ class PCNDEConfig(Settings):
     coupling_passes: int = positive(3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OutletClosure(Section):
     """Outlet condition p(L) = p_d + 𝒵 Q(L); values of None are trained.
 
@@ -362,7 +362,7 @@ class OutletClosure(Section):
     kind: Literal["auto", "resistance", "windkessel"] = "auto"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LossClosure(Section):
     """Pressure losses along the vessel; values of None are trained.
 
@@ -400,7 +400,7 @@ class LossClosure(Section):
     jet_lag: float | None = positive(None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WallClosure(Section):
     """Wall parameters; values of None are trained.
 
@@ -430,7 +430,7 @@ class WallClosure(Section):
     zero_pressure: float | None = signed(None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CorrectionClosure(Section):
     """Factor of the continuity equation and the trained correction.
 
@@ -468,7 +468,7 @@ class CorrectionClosure(Section):
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ClosureConfig(Settings):
     """All settings of the ``physics`` preset; see :mod:`pcnde_bridge.engines.jax.closures`.
 

@@ -11,6 +11,7 @@ import typing
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.errors import InputError
 
 _CURRENT_NAMES = {
@@ -54,13 +55,33 @@ def layer_widths(*default: int) -> Any:
     return dataclasses.field(default=default, metadata={"rule": "positive", "nonempty": True})
 
 
-class Section:
+class Section(Displayed):
     """Group of settings: a frozen dataclass whose values are checked when it is created."""
+
+    def _changes(self) -> dict[str, Any]:
+        """Return the settings that differ from the defaults, those of groups in mappings."""
+        mine, default = self.to_dict(), type(self)().to_dict()
+        return {
+            name: {k: v for k, v in value.items() if v != default[name][k]}
+            if isinstance(value, dict)
+            else value
+            for name, value in mine.items()
+            if value != default[name]
+        }
+
+    def __repr__(self) -> str:
+        changes = ", ".join(f"{name}={value!r}" for name, value in self._changes().items())
+        return f"{type(self).__name__}({changes})"
+
+    def _rows(self) -> list[str]:
+        return [f"{name}: {value}" for name, value in self.to_dict().items()]
 
     def __post_init__(self) -> None:
         hints = typing.get_type_hints(type(self))
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             where, value = f"{type(self).__name__}.{f.name}", getattr(self, f.name)
+            if isinstance(f.default, Section) and isinstance(value, Mapping):
+                value = f.default.replace(**value)
             checked = _checked(value, hints[f.name], where, f.metadata.get("rule", "at least 0"))
             object.__setattr__(self, f.name, checked)
             if f.metadata.get("nonempty", False) and not checked:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import sha256_arrays, with_prefix
+from pcnde_bridge._utils.display import draw
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
 from pcnde_bridge.data.files import read_cases, write_cases
@@ -22,6 +23,9 @@ from pcnde_bridge.data.selection import Positions, select_positions
 from pcnde_bridge.data.splits import fold_positions, split_positions
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import FileError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LABELS = "labels/"  # prefix of the labels' names among the arrays
 
@@ -62,7 +66,7 @@ class Cases(VesselQuantities):
         stenosis blocks, NaN where unknown; by default it is
         ``1 - min(area_undeformed) / area_undeformed[0]``.  Further columns of numbers or
         text are retained; their names must be Python names.  By default ``geometry``
-        counts the cases from 0 and ``waveform`` is 0.
+        counts the cases from 1, as in the published data, and ``waveform`` is 0.
     wall_shear_stress : array_like, shape (n_cases, n_times, n_points), optional
         Wall shear stress (dyn/cm²), the mean around the circumference, either of its axial
         component or, as in the published data, of its magnitude.
@@ -154,15 +158,15 @@ class Cases(VesselQuantities):
         """Flow rate at the inlet (mL/s), shape (n_cases, n_times); a read-only view."""
         return self.flow[:, :, 0]
 
-    def __repr__(self) -> str:
+    def _facts(self) -> list[str]:
         names = "geometry", "waveform"
         kinds = ", ".join(counted(self._labels[name].nunique(), name) for name in names)
-        more = "" if self.wall_shear_stress is None else "; with wall shear stress"
-        return (
-            f"Cases({counted(self.n_cases, 'case')}: {kinds}; {self.n_times} time points over "
-            f"{self.period:g} s; {self.n_points} points, z from {self.z[0]:g} to "
-            f"{self.z[-1]:g} cm{more})"
-        )
+        more = [] if self.wall_shear_stress is None else ["with wall shear stress"]
+        return [f"{counted(self.n_cases, 'case')}: {kinds}", *self.grid._facts(), *more]
+
+    def plot(self) -> Figure:
+        """Plot waveforms and geometries, by :func:`pcnde_bridge.plots.data_set`."""
+        return draw("data_set", self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Cases):

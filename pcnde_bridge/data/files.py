@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import AnyArray, StrPath
-from pcnde_bridge._utils.archive import check_format
+from pcnde_bridge._utils.archive import check_format, stated_facts
 from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed
@@ -19,7 +19,7 @@ from pcnde_bridge.errors import FileError
 FORMAT = "pcnde-cases"
 FORMAT_VERSION = 1
 
-_SUFFIXES = (".npz", ".h5", ".hdf5")
+SUFFIXES = (".npz", ".h5", ".hdf5")
 
 
 def write_cases(path: StrPath, contents: Mapping[str, AnyArray], fingerprint: str) -> None:
@@ -72,15 +72,15 @@ def _check_header(path: Path, header: Mapping[str, Any]) -> None:
 
 def _suffix(path: StrPath) -> str:
     suffix = Path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FileError(f"the name {str(path)!r} must end in one of {', '.join(_SUFFIXES)}")
+    if suffix not in SUFFIXES:
+        raise FileError(f"the name {str(path)!r} must end in one of {', '.join(SUFFIXES)}")
     return suffix
 
 
 def _read_npz(path: Path) -> dict[str, AnyArray]:
     with np.load(path, allow_pickle=False) as archive:
         check_members(archive.zip, path.stat().st_size)
-        _check_header(path, archive)
+        _check_header(path, stated_facts(archive))
         return dict(archive)
 
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.errors import InputError
 
 _FEWEST_TIMES, _FEWEST_POINTS = 16, 5
 
 
-@dataclass(frozen=True)
-class Grid:
+@dataclass(frozen=True, repr=False)
+class Grid(Displayed):
     """Time points of one cycle and points along the vessel.
 
     The arrays are read-only copies, so that predictions can share them with their model.
@@ -37,6 +38,12 @@ class Grid:
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+    def _facts(self) -> list[str]:
+        return [
+            f"{self.time.size} time points over {self.period:g} s",
+            f"{self.z.size} points, z from {self.z[0]:g} to {self.z[-1]:g} cm",
+        ]
 
 
 def check_resolution(n_times: int, n_points: int) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_values, real_array
 from pcnde_bridge.data.units import FACTORS
 from pcnde_bridge.data.variables import FIELDS
@@ -177,7 +178,7 @@ def one_minus_ffr(pressure: Array, z: Array, proximal: Array, distal: Array) -> 
     return np.asarray(mean_drop / values_at(pressure, z, proximal).mean(axis=1))
 
 
-class VesselQuantities:
+class VesselQuantities(Displayed):
     """Quantities that follow from flow, area and pressure along vessels.
 
     Positions ``proximal`` and ``distal`` are axial positions in cm: a number, or one for each

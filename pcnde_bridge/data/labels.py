@@ -18,6 +18,11 @@ _RESERVED = frozenset((*UNITS, "novelty"))  # columns of a prediction's table
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half of a pair, which is no text
 
 
+def default_labels(n_cases: int) -> dict[str, Any]:
+    """Return labels of cases with a geometry each, from 1, as in the published data."""
+    return {"geometry": np.arange(1, n_cases + 1), "waveform": 0}
+
+
 def check_labels(
     labels: pd.DataFrame | Mapping[str, Any] | None, area_undeformed: Array
 ) -> pd.DataFrame:
@@ -30,7 +35,7 @@ def check_labels(
     """
     n_cases = len(area_undeformed)
     if labels is None:
-        labels = {"geometry": np.arange(n_cases), "waveform": np.zeros(n_cases, dtype=int)}
+        labels = default_labels(n_cases)
     try:
         given = pd.DataFrame(labels)
     except (ValueError, TypeError) as error:

@@ -9,6 +9,7 @@ import logging
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 from pcnde_bridge._utils import interrupts
+from pcnde_bridge._utils.files import is_first_time
 from pcnde_bridge.errors import EngineUnavailableError, InputError
 
 if TYPE_CHECKING:
@@ -29,9 +30,10 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
     ----------
     name : {'auto', 'julia', 'julia-reference', 'jax'} or Engine
         ``auto`` selects Julia if it is installed and usable on this machine,
-        otherwise JAX; the choice and its reason are logged to ``pcnde_bridge`` at level
-        INFO.  ``julia-reference`` computes the flow by the Julia libraries alone, slowly,
-        as a standard for the others.  An engine is returned unchanged.
+        otherwise JAX, which is logged to ``pcnde_bridge`` at level INFO once per user, and
+        each time with the reason at level DEBUG.  ``julia-reference`` computes the flow by
+        the Julia libraries alone, slowly, as a standard for the others.  An engine is
+        returned unchanged.
 
     Raises
     ------
@@ -55,13 +57,13 @@ def select_engine(name: EngineChoice = "auto") -> Engine:
         status = julia_status()
         try:
             if status.usable:
-                engine = julia_engine()
-                _log.info("Using the Julia engine: Julia is usable on this machine.")
-                return engine
+                return julia_engine()
             reason = status.message
         except EngineUnavailableError as error:
             reason = str(error)
-        _log.info("Using the JAX engine: %s", reason)
+        _log.debug("Julia is not used: %s", reason)
+        if is_first_time("jax-engine"):
+            _log.info("Using the JAX engine, because Julia is not ready (see pcnde doctor).")
     with interrupts.deferred():
         from pcnde_bridge.engines.jax.engine import jax_engine
     return jax_engine()

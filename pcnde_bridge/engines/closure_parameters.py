@@ -55,7 +55,7 @@ def sizes(config: ClosureConfig) -> dict[str, int]:
     }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ClosureParameters(ParameterVectors):
     """All parameters of the ``physics`` preset, one flat read-only vector per closure.
 

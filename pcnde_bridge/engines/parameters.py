@@ -26,6 +26,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.errors import InputError
 
@@ -93,8 +94,8 @@ def unpack_network(parameters: ArrayT, widths: Sequence[int]) -> list[tuple[Arra
     return layers
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterVectors:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterVectors(Displayed):
     """Base class of named flat parameter vectors, copied to float64 and read-only."""
 
     def __post_init__(self) -> None:
@@ -136,7 +137,7 @@ class ParameterVectors:
                 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Parameters(ParameterVectors):
     """All parameters of a PCNDE, one flat read-only vector per stage.
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
@@ -216,7 +217,7 @@ class Closures(Protocol):
         """
 
 
-class Engine(ABC):
+class Engine(Displayed, ABC):
     """Compute engine.
 
     Engines can be pickled: another process starts its own.
@@ -256,6 +257,9 @@ class Engine(ABC):
     spatial_pressure: Stage
     temporal_flow: Stage
     closures: Closures
+
+    def _facts(self) -> list[str]:
+        return [" ".join(package) for package in self.versions.items()]
 
     @abstractmethod
     def predict(self, parameters: Parameters, inputs: ModelInputs, config: PCNDEConfig) -> Solution:

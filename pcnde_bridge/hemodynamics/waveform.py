@@ -18,9 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import (
     check_fields,
     check_increasing,
+    counted,
     finite,
     finite_vector,
     positive,
@@ -44,8 +46,8 @@ _CORONARY = (
 _CORONARY_TERMS = 9
 
 
-@dataclass(frozen=True)
-class Waveform:
+@dataclass(frozen=True, repr=False)
+class Waveform(Displayed):
     """Periodic flow at the inlet, given by its Fourier coefficients.
 
     Attributes
@@ -87,6 +89,10 @@ class Waveform:
             raise InputError(
                 f"cosine has {n_cosine} terms and sine {n_sine}; give as many of both."
             )
+
+    def _facts(self) -> list[str]:
+        mean = f"mean {self.mean:.4g} mL/s"
+        return [mean, counted(self.n_terms, "harmonic"), f"period {self.period:g} s"]
 
     @property
     def n_terms(self) -> int:
@@ -214,7 +220,10 @@ def _one_cycle(time: Array, flow: Array, period: float) -> tuple[Array, float, A
     check_increasing("time", time, "s")
     span = time[-1] - time[0]
     if span > period * (1.0 + 1e-9):
-        raise InputError(f"The samples span {span:g} s, longer than the period, {period:g} s.")
+        raise InputError(
+            f"The samples span {span:g} s, longer than the period, {period:g} s: "
+            "correct the period, or give the time in s."
+        )
     if math.isclose(span, period, rel_tol=1e-9):  # the end of the cycle repeats its start
         time, flow = time[:-1], flow[:-1]
     first = float(time[0])

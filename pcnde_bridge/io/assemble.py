@@ -21,6 +21,7 @@ from pcnde_bridge._utils.files import as_paths
 from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.checks import check_arrays
+from pcnde_bridge.data.labels import default_labels
 from pcnde_bridge.data.plausibility import OPTION, check_flow, check_units, sizes_of
 from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
@@ -164,7 +165,7 @@ def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
                 f"{first.name} has the labels {[*first.labels]}, {other.name} {[*other.labels]}: "
                 "give all files the same labels, or pass labels= (--labels)."
             )
-    keys = pd.DataFrame({"geometry": np.arange(len(vessels)), "waveform": 0})
+    keys = pd.DataFrame(default_labels(len(vessels)))
     labels = pd.DataFrame([dict(vessel.labels) for vessel in vessels], index=keys.index)
     return labels.join(keys[keys.columns.difference(labels.columns)])
 

@@ -11,6 +11,7 @@ from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import cache_folder, check_file, expanded, is_folder
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.files import SUFFIXES
 from pcnde_bridge.data.published import read_authors_folder
 from pcnde_bridge.errors import DataNotFoundError, FileError
 
@@ -174,6 +175,9 @@ def load_cases(data: StrPath | Cases) -> Cases:
     except DataNotFoundError as error:
         what = f"neither a file or folder nor a data set's name: {listed([*map(repr, DATASETS)])}"
         raise DataNotFoundError(f"{str(data)!r} is {what}") from error
+    if Path(data).suffix.lower() not in SUFFIXES:
+        rule = f"the name {str(data)!r} must end in one of {', '.join(SUFFIXES)}"
+        raise FileError(f"{rule}; run pcnde convert {data} --out cases.h5 first")
     return Cases.load(data)
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.validation import check_increasing, listed
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.units import SYSTEMS, factors_to_cgs, stated_units
+from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.io.tables import first_line, line_of, numbers, read_frame
@@ -48,8 +48,9 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
             f"{path} gives {axis} in {unit}: call it {axis}, pass --units {axis}={unit}."
         )
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
+    values = found.iloc[:, 0].to_numpy()
     inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
-    return found.iloc[:, 0].to_numpy(), (1 if inwards else -1) * found.iloc[:, 1:]
+    return values, (1 if inwards else -1) * found.iloc[:, 1:]
 
 
 def _rows(columns: pd.DataFrame) -> Array:
@@ -102,7 +103,7 @@ def read_cycle(
     span, steps = float(time[-1] - time[0]), np.diff(time)
     if not (steps > 0).all():
         line = line_of(path, int((steps <= 0).argmax()) + 1)
-        raise InputError(f"{path}, line {line}: time must increase, in equally spaced time points.")
+        raise InputError(f"{path}, line {line}: time must increase: sort the rows by time.")
     if abs(time[0] - start) > _SAME * max(span, abs(start)) and time_points is None:
         raise InputError(
             f"{path}, line {line_of(path, 0)}: time starts at {time[0]:g} s, but it must start at "
@@ -119,6 +120,7 @@ def read_cycle(
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
             f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."
+            f"{_other_unit('time', span, period)}"
         )
     if abs(span - period) <= 1e-3 * steps.min():
         time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
@@ -133,7 +135,8 @@ def read_cycle(
     if off.max() > _SAME * step * time.size:
         raise InputError(
             f"{path}, line {line_of(path, int(off.argmax()) + 1)}: the time points are not equally "
-            f"spaced over the period of {period:g} s, without its end point. Pass --interpolate."
+            f"spaced over the period of {period:g} s, without its end point. Pass --interpolate, "
+            "or in Python a Waveform.from_samples(flow, time, period)."
         )
     return period, columns
 
@@ -218,6 +221,8 @@ def read_columns(
     found, columns = _read(path, axis)
     found, unit = factor * found, SYSTEMS["cgs"][axis]
     covered = f"from {expected[0]:g} to {expected[-1]:g} {unit}"
+    if found.size and (hint := _other_unit(axis, np.ptp(found), np.ptp(expected))):
+        raise InputError(f"{path} has {axis} up to {found[-1]:g}; the model works {covered}.{hint}")
     if interpolate:
         from scipy.interpolate import PchipInterpolator
 
@@ -227,18 +232,30 @@ def read_columns(
             raise InputError(f"{path} has {axis} {given}; the model works {covered}.")
         at = np.clip(expected, found[0], found[-1])
         return pd.DataFrame(PchipInterpolator(found, columns)(at), columns=columns.columns)
+    if len(found) == len(expected) + 1 and _is_closed(_rows(columns), axis == "time"):
+        line = line_of(path, len(expected))
+        raise InputError(f"{path}, line {line}: the cycle's end repeats its start: leave it out.")
     if len(found) != len(expected):
         raise InputError(
             f"{path} has {len(found)} rows, but the model works on {len(expected)} values of "
-            f"{axis} {covered}: interpolate to these."
+            f"{axis} {covered}: pass --interpolate."
         )
+    advice = "pass --interpolate" if (np.diff(found) > 0).all() else f"sort the rows by {axis}"
     worst = int(np.abs(found - expected).argmax())
     if abs(found[worst] - expected[worst]) > _SAME * (1 + np.abs(expected).max()):
         raise InputError(
             f"{path}, line {line_of(path, worst)}: {axis} is {found[worst]:g} {unit}, but the "
-            f"model works at {expected[worst]:g} {unit}: interpolate to its grid."
+            f"model works at {expected[worst]:g} {unit}: {advice}."
         )
     return columns
+
+
+def _other_unit(axis: str, span: float, expected: float) -> str:
+    """Return a hint if an axis has the expected span in another unit."""
+    for unit, factor in FACTORS[axis].items():
+        if factor != 1 and abs(factor * span - expected) <= 0.3 * expected:
+            return f" This looks like {unit}: pass --units {axis}={unit}."
+    return ""
 
 
 class CaseInputs(NamedTuple):

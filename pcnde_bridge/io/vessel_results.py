@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.data.variables import FIELDS
 
 
-@dataclass(frozen=True)
-class VesselResults:
+@dataclass(frozen=True, repr=False)
+class VesselResults(Displayed):
     """Results of one vessel in the units and on the grid of its file.
 
     Attributes

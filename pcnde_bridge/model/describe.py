@@ -12,7 +12,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import archive_kind, interpreting, read_archive, with_prefix
 from pcnde_bridge._utils.validation import listed, whole
-from pcnde_bridge.config import PRESETS, Config, config_from
+from pcnde_bridge.config import config_from, nearest_preset
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.model.ensemble import MEMBER_PREFIX, Ensemble
@@ -97,36 +97,6 @@ def _data_set(cases: Cases) -> dict[str, Any]:
         "fingerprint": cases.fingerprint(),
         "labels": {str(name): column.drop_duplicates().tolist() for name, column in labels},
     }
-
-
-def nearest_preset(config: Config) -> tuple[str, dict[str, Any]]:
-    """Return the preset with the fewest settings that differ, and these settings.
-
-    Examples
-    --------
-    >>> from pcnde_bridge.config import FAST
-    >>> from pcnde_bridge.model.describe import nearest_preset
-    >>> nearest_preset(FAST.replace(flow={"steps": 24}))
-    ('fast', {'flow.steps': 24})
-    """
-    mine = _flat(config)
-    differences = {
-        name: {key: value for key, value in mine.items() if theirs[key] != value}
-        for name, preset in PRESETS.items()
-        if type(preset) is type(config)
-        for theirs in [_flat(preset)]
-    }
-    name = min(differences, key=lambda name: len(differences[name]))
-    return name, differences[name]
-
-
-def _flat(config: Config) -> dict[str, Any]:
-    """Return the settings by names such as ``flow.epochs``."""
-    found: dict[str, Any] = {}
-    for name, value in config.to_dict().items():
-        group = isinstance(value, dict)
-        found |= {f"{name}.{k}": v for k, v in value.items()} if group else {name: value}
-    return found
 
 
 def lines(found: Mapping[str, Any]) -> list[tuple[str, str]]:

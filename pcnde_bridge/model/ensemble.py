@@ -21,7 +21,7 @@ import numpy as np
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import archive_kind, with_prefix
 from pcnde_bridge._utils.parallel import RunOptions, run
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import all_of, whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import neighboring_folds
@@ -72,6 +72,7 @@ class Ensemble(Predictor):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.members = all_of(PCNDE, "Ensemble.members", self.members)
         if len(self.members) < 2:
             raise InputError(f"An ensemble needs at least 2 members, got {len(self.members)}.")
         grids = {(m.grid.time.tobytes(), m.grid.z.tobytes(), m.grid.period) for m in self.members}
@@ -79,8 +80,10 @@ class Ensemble(Predictor):
             raise InputError(
                 "The members were trained on different grids: they cannot be averaged."
             )
+        if not isinstance(self.calibration, Calibration):
+            raise InputError("Ensemble.calibration must be a Calibration: use Ensemble.fit.")
         self.calibration.check()
-        self.members, self.provenance = tuple(self.members), dict(self.provenance)
+        self.provenance = dict(self.provenance)
         first = self.members[0]
         self.config, self.grid, self.engine = first.config, first.grid, first.engine
         self.novelty = first.novelty  # all members have the same training cases
@@ -215,9 +218,8 @@ class Ensemble(Predictor):
         calibration = Calibration(*(arrays[f.name] for f in fields(Calibration)))
         return cls(members, calibration, provenance_from(facts["provenance"]))
 
-    def __repr__(self) -> str:
-        """Return the number of members, and the first."""
-        return f"Ensemble({len(self.members)} × {self.members[0]!r})"
+    def _facts(self) -> list[str]:
+        return [f"{len(self.members)} × {self.members[0]!r}"]
 
 
 def load_model(path: StrPath, engine: EngineChoice = "auto") -> PCNDE | Ensemble:

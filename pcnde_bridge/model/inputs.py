@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,9 +13,11 @@ import pandas as pd
 
 from pcnde_bridge._typing import AnyArray, Array
 from pcnde_bridge._utils.validation import (
+    all_of,
     check_finite,
     check_increasing,
     check_values,
+    finite_vector,
     positive,
     real_array,
 )
@@ -24,6 +27,8 @@ from pcnde_bridge.data.plausibility import OPTION, check_units, input_sizes
 from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.geometry import Vessel
+from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.uncertainty.novelty import Novelty
 from pcnde_bridge.uncertainty.sampling import RandomNumbers
 
@@ -91,8 +96,8 @@ def check_cases(name: str, cases: object) -> None:
 def inputs_from_arrays(
     trained: Grid,
     any_grid: bool,
-    inflow: npt.ArrayLike,
-    area_undeformed: npt.ArrayLike | None,
+    inflow: Any,
+    area_undeformed: Any,
     z: npt.ArrayLike | None = None,
     period: float | None = None,
     units: str | Mapping[str, str] | None = None,
@@ -115,11 +120,16 @@ def inputs_from_arrays(
     """
     if area_undeformed is None:
         raise InputError("predict needs area_undeformed beside the inflow.")
-    factor = factors_to_cgs(stated_units(units))
+    given = stated_units(units), inflow, area_undeformed, z, period
+    stated, inflow, area_undeformed, z, period = _from_objects(trained, any_grid, *given)
+    factor = factors_to_cgs(stated)
+    inflow = np.atleast_2d(real_array("inflow", inflow))
+    area_undeformed = np.atleast_2d(real_array("area_undeformed", area_undeformed))
+    if period is None and (any_grid or inflow.shape[-1] == trained.time.size + 1):
+        _check_open(inflow)
     grid = trained
     if any_grid:
-        n_times = np.shape(inflow)[-1] if np.ndim(inflow) else 0
-        grid = _grid(trained, n_times, z, period, factor)
+        grid = _grid(trained, inflow.shape[-1], z, period, factor)
     elif z is not None or period is not None:
         raise InputError(
             "This model predicts only at the points and the period of its training: leave out "
@@ -187,7 +197,7 @@ def _grid(
     """Return the grid of a prediction that may differ from that of the training."""
     points: Array = trained.z
     if z is not None:
-        points = factor["z"] * _rows("z", z, np.size(z), "points")[0]
+        points = factor["z"] * finite_vector("z", z)
         check_increasing("z", points, "cm")
     check_resolution(n_times, points.size)
     cycle = trained.period if period is None else factor["time"] * positive("period", period)
@@ -195,14 +205,63 @@ def _grid(
     return Grid(time, points, cycle)
 
 
-def _rows(name: str, values: npt.ArrayLike, length: int, noun: str) -> Array:
-    """Return a copy of (case, length) or (length,) values in the shape (case, length)."""
-    array = np.atleast_2d(real_array(name, values))
+def _from_objects(
+    trained: Grid, any_grid: bool, units: dict[str, str], *given: Any
+) -> tuple[dict[str, str], Any, Any, Any, Any]:
+    """Replace waveforms and vessels, in either order, by their arrays, which are CGS."""
+    inflow, area, z, period = given
+    if _are(Vessel, inflow) or _are(Waveform, area):
+        inflow, area = area, inflow
+    if _are(Waveform, inflow):
+        waveforms = all_of(Waveform, "inflow", np.atleast_1d(inflow))
+        units = {**units, "flow": "mL/s", "time": "s"}
+        cycle = _common("period", [w.period for w in waveforms], trained.period, any_grid)
+        period = cycle if any_grid else period
+        inflow = [waveform.samples(trained.time.size) for waveform in waveforms]
+    if _are(Vessel, area):
+        vessels = all_of(Vessel, "area_undeformed", np.atleast_1d(area))
+        units = {**units, "area": "cm^2", "z": "cm"}
+        length = _common("length", [v.length for v in vessels], np.ptp(trained.z), any_grid)
+        if any_grid and z is None:
+            z = np.linspace(0.0, length, trained.z.size)
+        points = trained.z - trained.z[0] if z is None else z
+        area = [vessel.area_undeformed(points) for vessel in vessels]
+    return units, inflow, area, z, period
+
+
+def _are(kind: type, value: object) -> bool:
+    """Return whether a value is an object of one kind, or a sequence that begins with one."""
+    return isinstance(value[0] if isinstance(value, list | tuple) and value else value, kind)
+
+
+def _common(name: str, values: Sequence[float], trained: float, any_grid: bool) -> float:
+    """Return the period or length of all objects, which a model of one grid prescribes."""
+    expected = values[0] if any_grid else trained
+    for value in values:
+        if not math.isclose(value, expected, rel_tol=1e-6):
+            raise InputError(
+                f"The {name} is {value:g}, but must be {expected:g}: cases that are predicted "
+                "together have one grid, and a model other than physics has that of its training."
+            )
+    return expected
+
+
+def _check_open(inflow: Array) -> None:
+    """Raise if the last time point repeats the first."""
+    if np.ptp(inflow, axis=-1).all() and np.array_equal(inflow[..., 0], inflow[..., -1]):
+        raise InputError(
+            "The last time point of the inflow repeats the first: leave it out, inflow[..., :-1]. "
+            "If it belongs to the cycle, pass period= to a model of the preset physics."
+        )
+
+
+def _rows(name: str, array: Array, length: int, noun: str) -> Array:
+    """Check that values have the shape (case, length) and are finite."""
     if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
         hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
         raise InputError(
             f"{name} must have the shape (case, {length}), {length} {noun} as in the training "
-            f"data, got {np.shape(values)}.{hint}"
+            f"data, got {array.shape}.{hint}"
         )
     check_finite(name, array)
     return array

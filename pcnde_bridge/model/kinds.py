@@ -20,7 +20,7 @@ from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import ModelInputs, Solution
-from pcnde_bridge.errors import SolveError
+from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.procedure import Procedure
@@ -72,9 +72,7 @@ class Kind:
         Raises
         ------
         InputError
-            If a vector or the grid is not usable; the message names it.
-        TypeError
-            If the parameters belong to the other kind of model.
+            If a vector or the grid is not usable, or the parameters belong to another kind.
         """
         for name, axis in (("time", grid.time), ("z", grid.z)):
             check_shape(name, axis, (axis.size,))
@@ -82,7 +80,8 @@ class Kind:
             check_increasing(name, axis)
         positive("period", grid.period, "s")
         if not isinstance(parameters, self.parameters):
-            raise TypeError(f"{type(parameters).__name__} do not go with {type(config).__name__}")
+            wrong = f"{type(parameters).__name__} do not belong to {type(config).__name__}"
+            raise InputError(f"{wrong}: give {self.parameters.__name__}.")
         # The parameters of the closures do not depend on the grid.
         parameters.check(config, *(() if self.any_grid else (grid.time.size, grid.z.size)))
         if uncertainty is not None:

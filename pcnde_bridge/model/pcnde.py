@@ -11,13 +11,21 @@ import pandas as pd
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import with_prefix
-from pcnde_bridge._utils.validation import whole
-from pcnde_bridge.config import PUBLISHED_CODE, Config, PCNDEConfig, config_from, resolve_config
+from pcnde_bridge._utils.validation import counted, whole
+from pcnde_bridge.config import (
+    PUBLISHED_CODE,
+    Config,
+    PCNDEConfig,
+    config_from,
+    nearest_preset,
+    resolve_config,
+)
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.model.prediction import Prediction
@@ -70,6 +78,9 @@ class PCNDE(Predictor):
     novelty: Novelty | None = None
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.config, Config) and isinstance(self.grid, Grid)):
+            raise InputError("PCNDE needs a configuration and a Grid: use PCNDE.fit or PCNDE.load.")
+        self.engine = select_engine(self.engine)
         kind_of(self.config).check(self.config, self.parameters, self.grid, self.uncertainty)
 
     @classmethod
@@ -219,10 +230,11 @@ class PCNDE(Predictor):
             Novelty.from_arrays(known) if known else None,
         )
 
-    def __repr__(self) -> str:
-        """Return the variables, the size of the grid and the engine."""
+    def _facts(self) -> list[str]:
+        name, changes = nearest_preset(self.config)
+        more = f" with {counted(len(changes), 'changed setting')}" if changes else ""
         variables = "flow, area, pressure" if self.has_pressure else "flow, area"
-        return (
-            f"PCNDE({variables}; {self.grid.time.size} time points × {self.grid.z.size} points; "
-            f"engine {self.engine.name})"
-        )
+        facts = [f"preset {name}{more}: {variables}"]
+        if {"cases", "seed"} <= self.provenance.keys():
+            facts.append("{cases} training cases, seed {seed}".format_map(self.provenance))
+        return [*facts, *self.grid._facts(), f"engine {self.engine.name}"]

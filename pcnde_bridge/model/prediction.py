@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
 from statistics import NormalDist
@@ -14,8 +14,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
+from pcnde_bridge._utils.display import draw
 from pcnde_bridge._utils.optional import require
+from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
@@ -23,9 +26,10 @@ from pcnde_bridge.io import predictions
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction(VesselQuantities):
     """Flow, area, pressure and wall shear stress over a cycle along the vessel.
 
@@ -66,10 +70,31 @@ class Prediction(VesselQuantities):
     time: Array
     z: Array
     period: float
-    labels: pd.DataFrame = field(repr=False)
-    novelty: Array | None = field(default=None, repr=False)
-    samples: Mapping[str, Array] | None = field(default=None, repr=False)
-    wall_shear_stress: Array | None = field(default=None, repr=False)
+    labels: pd.DataFrame
+    novelty: Array | None = None
+    samples: Mapping[str, Array] | None = None
+    wall_shear_stress: Array | None = None
+
+    def _facts(self) -> list[str]:
+        facts = [f"{counted(len(self), 'case')}: {', '.join(self.variables())}".replace("_", " ")]
+        facts += Grid(self.time, self.z, self.period)._facts()
+        if self.samples is not None:
+            facts.append(f"{len(self.samples['flow'])} samples")
+        if self.novelty is not None:
+            facts.append(f"novelty up to {self.novelty.max():.2f}")
+        return facts
+
+    def plot(
+        self, case: int = 0, reference: Cases | None = None, reference_label: str = "reference"
+    ) -> Figure:
+        """Plot a case, by :func:`pcnde_bridge.plots.time_and_space`, which has the arguments.
+
+        Raises
+        ------
+        InputError
+            If there is no such case, or the reference has another number of cases.
+        """
+        return draw("time_and_space", self, reference, case, 0.9, reference_label)
 
     def standard_deviation(self) -> dict[str, Array]:
         """Return the standard deviation of each variable, shape (case, time, z).
@@ -273,7 +298,8 @@ class Prediction(VesselQuantities):
         labels = self.labels
         if "geometry" not in labels:
             # Batches number their cases throughout, so that joined files have unique labels.
-            labels = labels.assign(geometry=labels.get("case", np.arange(len(self))), waveform=0)
+            numbers = labels.get("case", np.arange(len(self)))
+            labels = labels.assign(geometry=numbers + 1, waveform=0)
         arrays: dict[str, Any] = self.variables()
         arrays |= {name: getattr(self, name) for name in ("area_undeformed", "time", "z", "period")}
         # A prediction is checked by its inputs.

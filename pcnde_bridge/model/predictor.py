@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self
 
@@ -14,6 +14,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_memory, counted, whole
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
@@ -23,6 +24,8 @@ from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.hemodynamics.geometry import Vessel
+from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.model.inputs import Inputs, check_cases, check_plausible, inputs_from_arrays
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.metrics import error_table
@@ -34,7 +37,7 @@ Facts = Mapping[str, Any]
 Arrays = dict[str, AnyArray]
 
 
-class Predictor(ABC):
+class Predictor(Displayed, ABC):
     """Common part of a model and an ensemble.
 
     Attributes
@@ -78,8 +81,8 @@ class Predictor(ABC):
 
     def predict(
         self,
-        inflow: npt.ArrayLike | Cases,
-        area_undeformed: npt.ArrayLike | None = None,
+        inflow: npt.ArrayLike | Cases | Waveform | Sequence[Waveform],
+        area_undeformed: npt.ArrayLike | Vessel | Sequence[Vessel] | None = None,
         *,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
@@ -91,13 +94,16 @@ class Predictor(ABC):
 
         Parameters
         ----------
-        inflow : array of shape (case, time) or (time,), or Cases
+        inflow : array of shape (case, time) or (time,), Waveform, or Cases
             Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; for
             ``Cases``, the flow at their first point.  A model of the preset ``physics``
             accepts any number of equally spaced time points of one cycle.
-        area_undeformed : array of shape (case, z) or (z,)
+        area_undeformed : array of shape (case, z) or (z,), or Vessel
             Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
-            waveform is combined with many geometries, and the other way round.
+            waveform is combined with many geometries, and the other way round.  A
+            :class:`~pcnde_bridge.hemodynamics.Vessel` and a
+            :class:`~pcnde_bridge.hemodynamics.Waveform`, or lists of them, have their own
+            length and period, and may be given in either order.
         z : array of shape (z,), optional
             Axial positions, cm, if they differ from the model's (preset ``physics``).
         period : float, optional
@@ -138,8 +144,8 @@ class Predictor(ABC):
 
     def predict_batches(
         self,
-        inflow: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike,
+        inflow: npt.ArrayLike | Waveform | Sequence[Waveform],
+        area_undeformed: npt.ArrayLike | Vessel | Sequence[Vessel],
         *,
         batch: int | None = None,
         z: npt.ArrayLike | None = None,
@@ -251,9 +257,10 @@ class Predictor(ABC):
             )
         if self.uncertainty is None:
             raise InputError(
-                "This model has no uncertainty to draw samples from: that needs the preset "
-                "'physics', at least four training cases and correction.folds > 0. An ensemble's "
-                "samples are its members."
+                "This model has no uncertainty to draw samples from: only the preset 'physics' "
+                "has, with at least four training cases and correction.folds > 0. For other "
+                "presets fit an ensemble (Ensemble.fit, pcnde fit --members 5), which has "
+                "intervals without samples."
             )
         return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
 

@@ -71,7 +71,7 @@ def data_set(train: Cases, test: Cases | None = None) -> Figure:
 
 def time_and_space(
     prediction: Prediction,
-    cases: Cases,
+    cases: Cases | None = None,
     case: int = 0,
     position: float = style.POSITION,
     truth_label: str = "3D, averaged",
@@ -82,7 +82,7 @@ def time_and_space(
     ----------
     prediction : Prediction
         Prediction of the cases.
-    cases : Cases
+    cases : Cases, optional
         The truth.
     case : int
         Position of the case that is shown.
@@ -95,23 +95,32 @@ def time_and_space(
     Returns
     -------
     matplotlib.figure.Figure
-        A row for each predicted variable, over time (left) and space (right).
+        A row for each predicted variable, over time (left) and space (right), with 90 %
+        intervals if the prediction has samples.
 
     Raises
     ------
     InputError
         If prediction and cases differ in number, or there is no such case or position.
     """
-    if len(prediction) != len(cases):
+    if cases is not None and len(prediction) != len(cases):
         raise InputError(f"There are {len(cases)} cases, but {len(prediction)} are predicted.")
-    shown = style.locate(cases, case, position)
+    shown = style.locate(prediction, case, position)
     predicted = {name: values[case] for name, values in prediction.variables().items()}
-    truth = {name: values[case] for name, values in cases.variables().items()}
     size = 8, 2.4 * len(predicted)
-    figure, rows = style.time_and_space_figure(*size, list(predicted), cases, *shown)
-    markers = {"ls": "none", "marker": "o", "ms": 3, "mfc": "none", "color": style.TRUTH}
-    style.plot_rows(rows, truth, truth_label, markers)
+    figure, rows = style.time_and_space_figure(*size, list(predicted), prediction, *shown)
+    if cases is not None:
+        truth = {name: values[case] for name, values in cases.variables().items()}
+        markers = {"ls": "none", "marker": "o", "ms": 3, "mfc": "none", "color": style.TRUTH}
+        style.plot_rows(rows, truth, truth_label, markers)
     style.plot_rows(rows, predicted, "PCNDE", {"ls": "-", "lw": 1.6, "color": style.PREDICTED})
+    limits = {} if prediction.samples is None else prediction.interval(0.9)
+    for name, (low, high) in limits.items():
+        for axis, x, cut in rows[name]:
+            band = (style.QUANTITIES[name].factor * limit[case][cut] for limit in (low, high))
+            axis.fill_between(
+                x, *band, color=style.PREDICTED, alpha=0.2, lw=0, label="90 % interval"
+            )
     figure.axes[0].legend(frameon=False, fontsize=9)
     return figure
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import InputError
 
@@ -105,7 +106,12 @@ Panel = tuple["Axes", Array, Any]
 
 
 def time_and_space_figure(
-    width: float, height: float, variables: Sequence[str], cases: Cases, z: int, time: int
+    width: float,
+    height: float,
+    variables: Sequence[str],
+    cases: VesselQuantities,
+    z: int,
+    time: int,
 ) -> tuple[Figure, dict[str, tuple[Panel, Panel]]]:
     """Create a figure with a row per variable, over time (left) and space (right).
 
@@ -115,7 +121,7 @@ def time_and_space_figure(
         Size in inches.
     variables : sequence of str
         Variables of the rows.
-    cases : Cases
+    cases : Cases or Prediction
         Cases that are drawn; they give the titles of the columns.
     z, time : int
         Grid point of the left column, and time point of the right one.
@@ -173,13 +179,13 @@ def letter_panels(axes: Iterable[Axes]) -> None:
 
 
 def locate(
-    cases: Cases, case: int, position: float, time_point: float | None = None
+    cases: VesselQuantities, case: int, position: float, time_point: float | None = None
 ) -> tuple[int, int]:
     """Return the grid point and the time point that a figure of a case shows.
 
     Parameters
     ----------
-    cases : Cases
+    cases : Cases or Prediction
         Cases that are drawn.
     case : int
         Position of the case.
@@ -201,7 +207,7 @@ def locate(
             raise InputError(f"{name} must be a fraction from 0 to 1, got {fraction!r}.")
     z_index = int(np.abs(z - position * z[-1]).argmin())
     if time_point is None:
-        return z_index, int(cases.inflow[case].argmax())
+        return z_index, int(cases.flow[case, :, 0].argmax())
     return z_index, int(np.abs(time - time_point * cases.period).argmin())
 
 

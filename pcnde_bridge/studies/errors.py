@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.metrics import POOLED, compared, error_table, reference_of
@@ -42,8 +43,8 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     }
 
 
-@dataclass(frozen=True, eq=False)
-class PointwiseErrors:
+@dataclass(frozen=True, eq=False, repr=False)
+class PointwiseErrors(Displayed):
     """Truth, prediction and absolute error of one case at every time and grid point.
 
     Attributes
@@ -56,9 +57,9 @@ class PointwiseErrors:
         |S − S_GT|/S_GT(t=0) for area, |Y − Y_GT| for the others, such as flow (mL/s).
     """
 
-    case: Cases = field(repr=False)
-    predicted: Mapping[str, Array] = field(repr=False)
-    distance: Mapping[str, Array] = field(repr=False)
+    case: Cases
+    predicted: Mapping[str, Array]
+    distance: Mapping[str, Array]
 
     def to_frame(self) -> pd.DataFrame:
         """Return scalar measures, a row for each variable.

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
@@ -42,8 +43,8 @@ FORMULATIONS: tuple[Formulation, ...] = ("spatial", "temporal", "temporal_with_t
 """∂Q/∂z = f_θ(Q, S), ∂Q/∂t = f_θ(Q) and ∂Q/∂t = f_θ(Q, t)."""
 
 
-@dataclass(frozen=True, eq=False)
-class FormulationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class FormulationResult(Displayed):
     """Flow and areas of one formulation for some cases.
 
     Attributes
@@ -64,8 +65,8 @@ class FormulationResult:
     area: Array
 
 
-@dataclass(frozen=True, eq=False)
-class FormulationStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class FormulationStudy(Displayed):
     """Results of the formulations on the training and test cases.
 
     Attributes

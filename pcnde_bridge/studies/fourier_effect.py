@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config import resolve_pcnde_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.model.metrics import compared, relative_error
 from pcnde_bridge.model.pcnde import PCNDE
 
 
-@dataclass(frozen=True, eq=False)
-class FourierEffect:
+@dataclass(frozen=True, eq=False, repr=False)
+class FourierEffect(Displayed):
     """Area before and after the Fourier stage.
 
     Attributes
@@ -30,10 +31,10 @@ class FourierEffect:
         Change of Ŝ over one cycle, cm²: its deviation from periodicity.  S has none.
     """
 
-    cases: Cases = field(repr=False)
-    intermediate: Array = field(repr=False)
-    final: Array = field(repr=False)
-    drift: Array = field(repr=False)
+    cases: Cases
+    intermediate: Array
+    final: Array
+    drift: Array
 
     def to_frame(self) -> pd.DataFrame:
         """Return scalar measures, a row for each of the two areas.

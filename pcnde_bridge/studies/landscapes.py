@@ -21,6 +21,7 @@ import pandas as pd
 from scipy.ndimage import minimum_filter
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import positive, whole
 from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.config.settings import Term
@@ -48,8 +49,8 @@ RIGHT_HAND_SIDES: Mapping[str, tuple[Term, ...]] = {
 """Right-hand sides of the paper: the network alone, and with one term each."""
 
 
-@dataclass(frozen=True, eq=False)
-class Landscape:
+@dataclass(frozen=True, eq=False, repr=False)
+class Landscape(Displayed):
     """Loss on a grid of two amplitudes.
 
     Attributes
@@ -118,8 +119,8 @@ class Landscape:
         return pd.DataFrame({**about, **columns, "diverged": self.diverged.ravel()})
 
 
-@dataclass(frozen=True, eq=False)
-class LandscapeStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class LandscapeStudy(Displayed):
     """Landscapes of several right-hand sides, and the outcomes of their training.
 
     Attributes

@@ -8,13 +8,14 @@ where x is the inflow Q_in(t) or the undeformed area S_u(z).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.parallel import Workers, each
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
@@ -30,8 +31,8 @@ NoisyInput = Literal["inflow", "area_undeformed"]
 _BLOCK = 32  # largest number of rows that are predicted at once
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseStudy:
+@dataclass(frozen=True, eq=False, repr=False)
+class NoiseStudy(Displayed):
     """Predictions of one case from a noisy input.
 
     Attributes
@@ -52,10 +53,10 @@ class NoiseStudy:
     noisy: NoisyInput
     level: float
     samples: int
-    case: Cases = field(repr=False)
-    unperturbed: Mapping[str, Array] = field(repr=False)
-    mean: Mapping[str, Array] = field(repr=False)
-    standard_deviation: Mapping[str, Array] = field(repr=False)
+    case: Cases
+    unperturbed: Mapping[str, Array]
+    mean: Mapping[str, Array]
+    standard_deviation: Mapping[str, Array]
 
     def spread(self) -> dict[str, float]:
         """Return each variable's mean standard deviation over the largest value of its mean."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.hemodynamics import pressure_losses
@@ -16,8 +17,8 @@ from pcnde_bridge.model.metrics import case_table, reference_of, relative_error
 _PHYSICS = Physics()
 
 
-@dataclass(frozen=True, eq=False)
-class PressureDrops:
+@dataclass(frozen=True, eq=False, repr=False)
+class PressureDrops(Displayed):
     """Pressure drops over the middle third of the vessel.
 
     Attributes
@@ -29,10 +30,10 @@ class PressureDrops:
         dyn/cm².
     """
 
-    cases: Cases = field(repr=False)
-    truth: Array = field(repr=False)
-    predicted: Array = field(repr=False)
-    empirical: Array = field(repr=False)
+    cases: Cases
+    truth: Array
+    predicted: Array
+    empirical: Array
 
     def to_frame(self) -> pd.DataFrame:
         """Return relative errors of the drop, a row for each case and one for all pooled.

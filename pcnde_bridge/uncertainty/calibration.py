@@ -19,6 +19,7 @@ from statistics import NormalDist
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 
@@ -29,8 +30,8 @@ _HALF_WIDTH = NormalDist().inv_cdf(0.95)
 """Half the width of a normal 90 % interval, in standard deviations."""
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Displayed):
     """Factors that turn the spread among predictions into a standard deviation.
 
     Attributes

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_finite, check_shape
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.selection import Positions
@@ -105,8 +106,8 @@ class _Box(NamedTuple):
         return ends
 
 
-@dataclass(frozen=True, eq=False)
-class Novelty:
+@dataclass(frozen=True, eq=False, repr=False)
+class Novelty(Displayed):
     """Ranges and boxes of the training cases, which score other inputs.
 
     Attributes

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
@@ -62,8 +63,8 @@ _MULTIPLES = 4  # of the losses, and of the wall shear stress
 _NOISES = len(VARIABLES) + 2 * _MULTIPLES
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty(Displayed):
     """Distribution of the samples of a prediction.
 
     Attributes

@@ -13,6 +13,7 @@ from pcnde_bridge._utils.files import (
     Budget,
     atomic_write,
     check_file,
+    is_first_time,
     locked,
     plain_text,
     reading,
@@ -243,3 +244,14 @@ def test_contents_far_larger_than_their_file_are_refused():
     budget.claim(3 << 22)
     with pytest.raises(ValueError, match="claims 25165825 bytes"):
         budget.claim(1)
+
+
+def test_a_notice_is_new_once_per_user(tmp_path, monkeypatch):
+    monkeypatch.setenv("PCNDE_CACHE", str(tmp_path / "cache"))
+    assert is_first_time("thing")
+    assert not is_first_time("thing")
+    assert is_first_time("other")
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("PCNDE_CACHE", str(tmp_path / "file" / "cache"))
+    assert is_first_time("thing")
+    assert is_first_time("thing")

@@ -99,7 +99,7 @@ def test_defaults(small_cases):
     made = Cases(**case_arguments(small_cases, period=None, labels=None))
     assert made.period == pytest.approx(1.0, rel=1e-12)
     assert list(made.labels.columns) == ["geometry", "waveform", "blockage"]
-    assert list(made.labels["geometry"]) == list(range(12))
+    assert list(made.labels["geometry"]) == list(range(1, 13))
     assert set(made.labels["waveform"]) == {0}
     undeformed = small_cases.area_undeformed
     assert np.array_equal(made.labels["blockage"], 1 - undeformed.min(axis=1) / undeformed[:, 0])

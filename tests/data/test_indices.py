@@ -82,7 +82,7 @@ def test_indices_by_hand():
     flow = np.broadcast_to(np.array([1.0, 2.0, 4.0, 1.0])[:, None], (2, 4, 5))
     table = vessels(pressure, flow=flow).indices()
     row = table.iloc[1]
-    assert (row["geometry"], row["waveform"], row["blockage"]) == (1, 0, 0)
+    assert (row["geometry"], row["waveform"], row["blockage"]) == (2, 0, 0)
     assert (row["positions"], row["proximal"], row["distal"]) == ("whole vessel", 0, 4)
     assert (row["mean_flow"], row["peak_flow"], row["peak_velocity"]) == (2, 4, 32)
     assert row["mean_drop_mmHg"] == pytest.approx(3e3 / MMHG, rel=1e-14)

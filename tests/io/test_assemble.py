@@ -20,7 +20,7 @@ def test_whole_results_are_taken_as_they_are(small_cases):
     assert found.period == 1.0
     for name in (*VARIABLES, "area_undeformed"):
         assert np.array_equal(getattr(found, name), getattr(small_cases, name)[[3, 6]])
-    assert list(found.labels["geometry"]) == [0, 1]
+    assert list(found.labels["geometry"]) == [1, 2]
 
 
 def test_flow_against_z_is_refused_with_both_remedies(vessel):

@@ -275,7 +275,7 @@ def test_load_cases_refuses(tmp_path):
     with pytest.raises(DataNotFoundError, match="holds no folders named case_G_W"):
         load_cases(tmp_path)
     (tmp_path / "data.csv").write_text("1,2")
-    with pytest.raises(FileError, match="must end in one of"):
+    with pytest.raises(FileError, match=r"must end in one of .*; run pcnde convert .*data.csv"):
         load_cases(tmp_path / "data.csv")
 
 

@@ -302,3 +302,30 @@ def test_tables_in_other_units(tmp_path, any_grid):
         assert np.array_equal(found.where["z"], 10 * grid.z)
     fine = read_inputs(*both, any_grid=any_grid, units=units, interpolate=True)
     assert fine.inflow.shape == (1, 20)
+
+
+def test_messages_for_a_model_of_one_grid(read):
+    rows = [f"{t},{v}" for t, v in ((0, 1), (0.25, 2), (0.5, 1), (0.75, 3), (1, 1))]
+    table = "time,a\n" + "\n".join(rows)
+    with pytest.raises(InputError, match=r"line 6: the cycle's end repeats its start: leave"):
+        read(table)
+    with pytest.raises(InputError, match=r"This looks like ms: pass --units time=ms"):
+        read("time,a\n0,1\n250,1\n500,1\n750,1\n")
+    with pytest.raises(InputError, match=r"works at 0\.25 s: sort the rows by time"):
+        read("time,a\n0,1\n0.5,1\n0.25,1\n0.75,1\n")
+    with pytest.raises(InputError, match=r"works at 0\.25 s: pass --interpolate"):
+        read("time,a\n0,1\n0.3,1\n0.5,1\n0.75,1\n")
+    assert np.array_equal(read("t,Q\n0,1\n0.25,1\n0.5,1\n0.75,1\n"), np.ones((1, 4)))
+
+
+def test_messages_for_a_model_of_any_grid(tmp_path):
+    def read(text, **options):
+        (tmp_path / "cycle.csv").write_text(text)
+        return read_cycle(tmp_path / "cycle.csv", 0.0, 1.0, **options)
+
+    with pytest.raises(InputError, match=r"line 4: time must increase: sort the rows by time"):
+        read("t,Q\n0,1\n0.5,1\n0.25,1\n0.75,1\n")
+    with pytest.raises(InputError, match=r"--interpolate, or in Python a Waveform.from_samples"):
+        read("t,Q\n0,1\n0.3,1\n0.5,1\n0.75,1\n")
+    with pytest.raises(InputError, match=r"correct --period. This looks like ms: pass --units"):
+        read("t,Q\n0,1\n250,2\n500,1\n750,1\n", period=1.0)

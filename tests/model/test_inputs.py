@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from pcnde_bridge import InputError
+from pcnde_bridge import Ensemble, InputError
+from pcnde_bridge.config import resolve_config
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import stated_units
+from pcnde_bridge.hemodynamics import Stenosis, Vessel, coronary
 from pcnde_bridge.model.inputs import check_plausible, inputs_from_arrays
 from pcnde_bridge.uncertainty.novelty import Novelty
 
@@ -63,3 +68,98 @@ def test_units_are_converted(check):
     np.testing.assert_allclose(found.grid.z, expected.grid.z, rtol=1e-12)
     assert found.grid.period == pytest.approx(1.0)
     check(z=10, units="cgs")
+
+
+# ---- vessels and waveforms ---------------------------------------------------------
+
+
+CLOSED = coronary().flow(np.arange(33) / 32).round(12)
+VESSELS = [Vessel((Stenosis(b),)) for b in (0.4, 0.6)]
+
+
+def test_vessels_and_waveforms_are_their_arrays(physics_model):
+    flow, area = coronary().samples(32), [v.area_undeformed(physics_model.grid.z) for v in VESSELS]
+    expected = physics_model.predict(flow, area, units="cgs").pressure
+    for given in ((coronary(), VESSELS), (VESSELS, coronary()), (flow, VESSELS)):
+        assert np.array_equal(physics_model.predict(*given).pressure, expected)
+    both = physics_model.predict(VESSELS, [coronary(), coronary().scaled(0.5)])
+    assert np.array_equal(both.pressure[0], expected[0])
+    batches = physics_model.predict_batches(coronary(), VESSELS, batch=1)
+    assert np.allclose(next(batches).pressure, expected[:1])
+
+
+def test_a_vessel_and_a_waveform_bring_their_grid(physics_model):
+    found = physics_model.predict(Vessel((Stenosis(0.5, 3.0),), length=6.0), coronary(0.8))
+    assert found.z[-1] == 6.0
+    assert found.period == 0.8
+    assert found.z[found.area_undeformed.argmin()] == pytest.approx(3.0)
+    finer = physics_model.predict(VESSELS[0], coronary(), z=np.linspace(0, 4, 81))
+    assert finer.z.size == 81
+
+
+def test_objects_on_a_model_of_one_grid(small_model):
+    found = small_model.predict(VESSELS[0], coronary())
+    assert np.array_equal(found.flow.shape, (1, 20, 21))
+    with pytest.raises(InputError, match=r"The length is 6, but must be 4: "):
+        small_model.predict(Vessel(length=6.0), coronary())
+    with pytest.raises(InputError, match=r"The period is 0\.8, but must be 1: "):
+        small_model.predict(VESSELS[0], coronary(0.8))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ((VESSELS, [coronary(), coronary(0.8)]), r"period is 0\.8, but must be 1"),
+        (([*VESSELS, Vessel(length=5)], coronary()), "length is 5, but must be 4"),
+        (([*VESSELS, 3], coronary()), r"area_undeformed\[2\] must be a Vessel, got int"),
+        ((coronary(),), "predict needs area_undeformed beside the inflow"),
+        (("inflow.csv", VESSELS), r"inflow is the path 'inflow.csv': read the file"),
+        ((pd.DataFrame({"time": [0.0], "q": 1.0}), VESSELS), r"pass one column, .* table\['q'\]"),
+        ((coronary(), pd.DataFrame({"z": [0.0], "S": 1.0})), r"pass one column, .* table\['S'\]"),
+        (
+            (np.append(*[coronary().samples(32)] * 2)[:33], VESSELS),
+            r"leave it out, inflow\[..., :-1\]",
+        ),
+    ],
+)
+def test_wrong_inputs(physics_model, given, message):
+    with pytest.raises(InputError, match=message):
+        physics_model.predict(*given)
+
+
+def test_a_repeated_end(physics_model, small_model):
+    flow = coronary().samples(32)
+    closed = np.append(flow, flow[0])
+    assert physics_model.predict(closed, VESSELS, period=1.0).time.size == 33
+    assert physics_model.predict(np.full(33, 1.2), VESSELS).time.size == 33
+    flow = coronary().samples(20)
+    with pytest.raises(InputError, match="The last time point of the inflow repeats the first"):
+        small_model.predict(np.append(flow, flow[0]), VESSELS[0])
+
+
+def test_an_ensemble_is_the_advice_where_there_are_no_samples(small_model, small_cases):
+    with pytest.raises(InputError, match=r"fit an ensemble \(Ensemble.fit, pcnde fit --m"):
+        small_model.predict(small_cases, samples=8)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"config": "fast"}, "PCNDE needs a configuration and a Grid"),
+        ({"grid": None}, "PCNDE needs a configuration and a Grid"),
+        ({"engine": "fortran"}, "Unknown engine 'fortran'"),
+        ({"parameters": None}, "NoneType do not belong to ClosureConfig: give ClosureParameters"),
+    ],
+)
+def test_wrong_parts_of_a_model(physics_model, change, message):
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(physics_model, **change)
+
+
+def test_wrong_parts_of_an_ensemble(ensemble):
+    with pytest.raises(InputError, match=r"Ensemble.members\[1\] must be a PCNDE, got int"):
+        Ensemble([ensemble.members[0], 3], ensemble.calibration)
+    with pytest.raises(InputError, match=r"Ensemble.calibration must be a Calibration"):
+        Ensemble(ensemble.members, None)
+    with pytest.raises(InputError, match=r"Change a preset by FAST.replace"):
+        resolve_config({"flow": {"steps": 12}})

@@ -312,7 +312,7 @@ def test_prediction_as_cases(prediction, small_cases, small_model):
 
 def test_prediction_of_arrays_as_cases(small_model, small_cases):
     cases = small_model.predict(small_cases.inflow, small_cases.area_undeformed).to_cases()
-    assert list(cases.labels["geometry"]) == list(range(12))
+    assert list(cases.labels["geometry"]) == list(range(1, 13))
     assert set(cases.labels["waveform"]) == {0}
 
 
@@ -382,7 +382,7 @@ def test_masked_and_complex_inputs_are_refused(small_model, small_cases):
 def test_joined_batches_have_unique_cases(small_model, small_cases):
     inputs = small_cases.inflow, small_cases.area_undeformed
     parts = [p.to_cases() for p in small_model.predict_batches(*inputs, batch=5)]
-    assert [g for part in parts for g in part.labels["geometry"]] == list(range(12))
+    assert [g for part in parts for g in part.labels["geometry"]] == list(range(1, 13))
 
 
 # ---- limits ------------------------------------------------------------------

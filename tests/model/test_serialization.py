@@ -7,10 +7,7 @@ import pandas as pd
 import pytest
 from helpers import same_bits
 
-from pcnde_bridge import (
-    PCNDE,
-    InputError,
-)
+from pcnde_bridge import PCNDE, Cases, InputError, load_model
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.errors import FileError
@@ -138,3 +135,13 @@ def test_a_loaded_models_grid_cannot_be_changed_by_its_predictions(
     grid = Grid(mine, mine, 3.0)
     mine[1] = 7
     assert grid.time[1] == grid.z[1] == 1
+
+
+def test_a_data_set_and_a_model_in_place_of_each_other(small_cases, small_model, tmp_path):
+    small_cases.save(tmp_path / "cases.npz")
+    small_model.save(tmp_path / "model.npz")
+    for load in (PCNDE.load, load_model):
+        with pytest.raises(FileError, match="not a pcnde_bridge model but a data set"):
+            load(tmp_path / "cases.npz")
+    with pytest.raises(FileError, match="not a pcnde_bridge data set but a 'pcnde-model' file"):
+        Cases.load(tmp_path / "model.npz")
