@@ -12,7 +12,7 @@ import pandas as pd
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import atomic_write, make_folder, reading, write_csv, write_json
 from pcnde_bridge._version import __version__
-from pcnde_bridge.config import FAST
+from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import case_keys
 from pcnde_bridge.engines import EngineChoice, select_engine
@@ -21,8 +21,8 @@ from pcnde_bridge.evaluation.baselines import Unchanged
 from pcnde_bridge.hemodynamics.synthetic import synthetic
 from pcnde_bridge.model.metrics import pooled, pooled_errors
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.plots import loss_history, time_and_space
-from pcnde_bridge.plots.figures import hardest_case
 from pcnde_bridge.training import checkpoint as checkpoints
 
 FILES = (
@@ -37,18 +37,28 @@ MARK = "demo.json"
 CHECKPOINT = "model.npz.checkpoint"
 """State of training, removed when the model is saved."""
 
-NEXT_STEPS = """Took {seconds:.0f} s. In {folder}:
+_WAVEFORM = 3  # left out of the training, and predicted
+_SAMPLES = 64
+
+STORY = """
+The model was trained on {trained} simulated vessels at maximal flow, and predicted {predicted}
+with another waveform. The narrowest is {blockage:.0%} blocked:
+  FFR   {ffr:.3f}{limits}, simulated {simulated:.3f}; below 0.80 a stenosis is usually treated
+  drop  {drop:.1f} mmHg, simulated {simulated_drop:.1f} mmHg
+Took {seconds:.0f} s. In {folder}:
+  prediction.png      this vessel; history.png, the loss
   model.npz           the model
-  cases.npz           the 100 simulated cases; split.json, the training and the test cases
+  cases.npz           the simulated vessels; split.json, those for training and test
   errors.csv          errors of every case; history.csv, the loss of every iteration
   prediction.csv.gz   flow, area and pressure of the test cases
-  prediction.png      the hardest test case; history.png, the loss
-To predict with your own waveform and vessel in these two files:
-  pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv --out mine.csv
-To compare the model with simpler methods:
+Put your own waveform and vessel into these two files, and predict them:
+  pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv \
+    --samples 64 --out mine.csv --indices indices.csv
+Explore the model on a page, or compare it with simpler methods:
+  pcnde app {folder}/model.npz
   pcnde bench {folder}/cases.npz --split {folder}/split.json --model {folder}/model.npz
-To train on the paper's 3D simulations, as in the paper:
-  pcnde fit published --out model.npz"""  # noqa: E501
+Train on the paper's 3D simulations (50 MB):
+  pcnde fit published --preset physics --out model.npz"""
 
 
 class Demo(NamedTuple):
@@ -61,13 +71,13 @@ class Demo(NamedTuple):
     errors : dict
         Relative errors over all cases, by method (``"PCNDE"``, ``"no change"``), set
         (train, test) and variable.
-    seconds : float
-        Time of this run.
+    story : str
+        Result of the narrowest test vessel, and what to do next.
     """
 
     model: PCNDE
     errors: dict[str, dict[str, dict[str, float]]]
-    seconds: float
+    story: str
 
 
 def run_demo(out: StrPath = "demo", seed: int = 0, engine: EngineChoice = "auto") -> Demo:
@@ -109,26 +119,47 @@ def run_demo(out: StrPath = "demo", seed: int = 0, engine: EngineChoice = "auto"
         "data": "synthetic",
         "seed": seed,
         "engine": selected.name,
-        "config": json.loads(FAST.to_json()),
+        "config": json.loads(PHYSICS.to_json()),
         "version": __version__,
     }
     _claim(folder, facts)
-    cases = synthetic(seed=seed)
+    cases = synthetic(8, 5, seed, hyperemia=4.0)
     cases.save(folder / "cases.npz")
-    sets = cases.split("paper")._asdict()
+    sets = cases.split(waveform=_WAVEFORM)._asdict()
     pairs = {name: case_keys(subset.labels) for name, subset in sets.items()}
     write_json(folder / "split.json", pairs, indent=None)
 
     state = folder / CHECKPOINT
-    model = PCNDE.fit(sets["train"], FAST, engine=selected, seed=seed, checkpoint=state)
+    model = PCNDE.fit(sets["train"], PHYSICS, engine=selected, seed=seed, checkpoint=state)
     model.save(folder / "model.npz")
     checkpoints.remove(state)
 
-    errors = _write_results(folder, model, sets)
+    test = sets["test"]
+    prediction = model.predict(
+        test, samples=0 if model.uncertainty is None else _SAMPLES, seed=seed
+    )
+    errors = _write_results(folder, model, sets, prediction)
     seconds = time.perf_counter() - began
     results = {"finished": True, "seconds": round(seconds, 1), "errors": errors}
     write_json(folder / MARK, {**facts, **results})
-    return Demo(model, errors, seconds)
+    counts = {"trained": len(sets["train"]), "predicted": len(test)}
+    return Demo(model, errors, _tell(prediction, test, folder=folder, seconds=seconds, **counts))
+
+
+def _tell(prediction: Prediction, test: Cases, **facts: Any) -> str:
+    """Return the story of the narrowest test vessel."""
+    case = _narrowest(test)
+    found, simulated = prediction.indices().iloc[case], test.indices().iloc[case]
+    limits = ""
+    if "ffr_low" in found:
+        limits = f" (90 % interval {found['ffr_low']:.3f} to {found['ffr_high']:.3f})"
+    drops = {"drop": found["mean_drop_mmHg"], "simulated_drop": simulated["mean_drop_mmHg"]}
+    ffr = {"ffr": found["ffr"], "simulated": simulated["ffr"], "limits": limits}
+    return STORY.format(blockage=found["blockage"], **ffr, **drops, **facts)
+
+
+def _narrowest(cases: Cases) -> int:
+    return int(cases.labels["blockage"].argmax())
 
 
 def _claim(folder: Path, facts: dict[str, Any]) -> None:
@@ -153,23 +184,22 @@ def _claim(folder: Path, facts: dict[str, Any]) -> None:
 
 
 def _write_results(
-    folder: Path, model: PCNDE, sets: dict[str, Cases]
+    folder: Path, model: PCNDE, sets: dict[str, Cases], prediction: Prediction
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Write errors, history, predictions and figures; return the errors over all cases."""
     tables = {name: model.evaluate(cases) for name, cases in sets.items()}
     baseline = Unchanged().fit(sets["train"])
-    test, hardest = sets["test"], hardest_case(sets["test"])
-    prediction = model.predict(test)
+    test, case = sets["test"], _narrowest(sets["test"])
     for name, table in {
         "errors.csv": pd.concat(tables, names=["set"]).reset_index(),
         "history.csv": model.history,
-        "inflow.csv": pd.DataFrame({"time": test.time, "inflow": test.inflow[hardest]}),
-        "area.csv": pd.DataFrame({"z": test.z, "area": test.area_undeformed[hardest]}),
+        "inflow.csv": pd.DataFrame({"time": test.time, "inflow": test.inflow[case]}),
+        "area.csv": pd.DataFrame({"z": test.z, "area": test.area_undeformed[case]}),
     }.items():
         write_csv(folder / name, table, index=False)
     write_csv(folder / "prediction.csv.gz", prediction.to_frame(), index=False, float_format="%.7g")
     for name, figure in {
-        "prediction.png": time_and_space(prediction, test, hardest, truth_label="1D solver"),
+        "prediction.png": time_and_space(prediction, test, case, truth_label="1D solver"),
         "history.png": loss_history(model.history),
     }.items():
         with atomic_write(folder / name) as temporary:

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.files import cache_folder, make_folder
-from pcnde_bridge._utils.validation import check_memory, counted, finite_vector, whole
+from pcnde_bridge._utils.validation import check_memory, counted, finite_vector, positive, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import FileError, InputError
@@ -49,6 +49,7 @@ def synthetic(
     seed: int = 0,
     *,
     stenosis_positions: Sequence[float] = (2.0,),
+    hyperemia: float = 1.0,
     n_points: int = 101,
     tube: Tube1D | None = None,
     cache: str | os.PathLike[str] | bool | None = None,
@@ -77,6 +78,9 @@ def synthetic(
     stenosis_positions : sequence of float
         Throats of the stenoses, cm; all stenoses of a vessel have its blockage.
         Without positions the vessel is healthy, and there is a single geometry.
+    hyperemia : float
+        Factor of all flows; the outlet's resistance is divided by it.  4 is maximal flow,
+        for which the fractional flow reserve is defined.
     n_points : int
         Points along the vessel.
     tube : Tube1D, optional
@@ -120,12 +124,15 @@ def synthetic(
     blockages = np.linspace(*BLOCKAGES, n_geometries).round(12).tolist()
     vessels = [Vessel(tuple(Stenosis(beta, place) for place in places)) for beta in blockages]
     factors = _factors(n_waveforms)
-    waveforms = base_waveform(seed).family(factors)
-    solve = partial(_solve, solver, vessels, waveforms, factors, n_points, progress)
+    hyperemia = positive("hyperemia", hyperemia)
+    waveforms = base_waveform(seed, hyperemia).family(factors)
+    outlet = Windkessel(OUTLET_RESISTANCE / hyperemia)
+    solve = partial(_solve, solver, vessels, waveforms, outlet, factors, n_points, progress)
     if cache is False:
         return solve()
     # The name has a checksum of everything that the numbers depend on.
-    content = (DATA_VERSION, vessels, waveforms, OUTLET_RESISTANCE, n_points, solver)
+    series = [vars(waveform) for waveform in waveforms]
+    content = (DATA_VERSION, vessels, series, outlet.resistance, n_points, solver)
     key = hashlib.sha256(repr(content).encode()).hexdigest()[:16]
     folder = cache_folder(None if cache is True else cache) / "synthetic"
     path = folder / f"{n_geometries}x{n_waveforms}-seed{seed}-{key}.npz"
@@ -143,23 +150,24 @@ def synthetic(
     return cases
 
 
-def base_waveform(seed: int) -> Waveform:
+def base_waveform(seed: int, hyperemia: float = 1.0) -> Waveform:
     """Return the inlet waveform from which all waveforms of a seed are scaled.
 
     Parameters
     ----------
-    seed : int
+    seed, hyperemia
         See :func:`synthetic`.
     """
     base = coronary()
+    harmonics = np.array(base.cosine) - 1j * np.array(base.sine)
     if seed == 0:
-        return base
+        return Waveform.from_spectrum(hyperemia * base.mean, hyperemia * harmonics, base.period)
     rng = np.random.default_rng(seed)
     mean = base.mean * (1.0 + _MEAN_SPREAD * float(rng.standard_normal()))
     amplitude = np.exp(_HARMONIC_SPREAD * rng.standard_normal(base.n_terms))
     phase = _PHASE_SPREAD * rng.standard_normal(base.n_terms)
-    harmonics = (np.array(base.cosine) - 1j * np.array(base.sine)) * amplitude
-    return Waveform.from_spectrum(mean, harmonics * np.exp(1j * phase), base.period)
+    harmonics = hyperemia * harmonics * amplitude * np.exp(1j * phase)
+    return Waveform.from_spectrum(hyperemia * mean, harmonics, base.period)
 
 
 def _factors(count: int) -> tuple[float, ...]:
@@ -175,6 +183,7 @@ def _solve(
     tube: Tube1D,
     vessels: Sequence[Vessel],
     waveforms: Sequence[Waveform],
+    outlet: Windkessel,
     factors: Sequence[float],
     n_points: int,
     progress: bool,
@@ -183,8 +192,7 @@ def _solve(
     from rich.console import Console
     from rich.progress import track
 
-    outlet, n = Windkessel(OUTLET_RESISTANCE), len(waveforms)
-    problems = []
+    problems, n = [], len(waveforms)
     for number, vessel in enumerate(vessels, start=1):  # all of them before anything is computed
         table = {"geometry": number, "waveform": range(n), "blockage": vessel.blockage}
         labels = pd.DataFrame({**table, "factor": factors})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +27,8 @@ from pcnde_bridge.cli.demo import (
     run_demo,
 )
 from pcnde_bridge.evaluation.baselines import Unchanged
+from pcnde_bridge.hemodynamics import Tube1D, coronary, synthetic
+from pcnde_bridge.hemodynamics.synthetic import base_waveform
 from pcnde_bridge.model.metrics import pooled_errors
 from pcnde_bridge.plots import loss_history
 
@@ -41,9 +45,9 @@ def unpainted(request, monkeypatch):
 @pytest.fixture(autouse=True)
 def small_demo(monkeypatch, small_cases, toy_engine, toy_config):
     """Few cases, and nothing to compile."""
-    monkeypatch.setattr(module, "synthetic", lambda seed: small_cases)
+    monkeypatch.setattr(module, "synthetic", lambda *_, **__: small_cases)
     monkeypatch.setattr(module, "select_engine", lambda name: toy_engine)
-    monkeypatch.setattr(module, "FAST", toy_config)
+    monkeypatch.setattr(module, "PHYSICS", toy_config)
 
 
 @pytest.fixture
@@ -57,7 +61,7 @@ def test_everything_is_there(demo, tmp_path, small_cases):
     folder = tmp_path / "demo"
     assert sorted(path.name for path in folder.iterdir()) == sorted((*FILES, MARK))
     assert Cases.load(folder / "cases.npz") == small_cases
-    train, test = small_cases.split("paper")
+    train, test = small_cases.split(waveform=3)
     again = small_cases.split(folder / "split.json")
     assert (again.train, again.test) == (train, test)
 
@@ -97,8 +101,10 @@ def test_its_files_go_into_the_other_commands(demo, tmp_path, small_cases, toy_e
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert not end.value.code
-    hardest = small_cases.select(geometry=3, waveform=3)
-    np.testing.assert_allclose(Cases.load(out).flow, result.model.predict(hardest).flow, rtol=1e-9)
+    narrowest = small_cases.select(geometry=3, waveform=3)
+    np.testing.assert_allclose(
+        Cases.load(out).flow, result.model.predict(narrowest).flow, rtol=1e-9
+    )
 
 
 def test_same_command_again_replaces_its_own_files(demo, tmp_path):
@@ -178,6 +184,49 @@ def test_loss_history(demo):
 def test_no_history_no_figure():
     with pytest.raises(InputError, match="no history"):
         loss_history(pd.DataFrame({"stage": []}))
+
+
+def test_the_story_has_the_result_of_the_narrowest_vessel(
+    demo, monkeypatch, physics_cases, physics_model
+):
+    monkeypatch.setattr(module, "synthetic", lambda *_, **__: physics_cases)
+    monkeypatch.setattr(module, "PHYSICS", physics_model.config)
+    monkeypatch.setattr(module, "select_engine", lambda _: physics_model.engine)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        story = demo().story
+    expected = physics_cases.select(geometry=4, waveform=3)
+    blockage = expected.labels["blockage"][0]
+    assert "trained on 12 simulated vessels" in story
+    assert f"The narrowest is {blockage:.0%} blocked" in story
+    assert f"simulated {expected.ffr()[0]:.3f}; below 0.80" in story
+    assert re.search(r"FFR   \d\.\d{3} \(90 % interval \d\.\d{3} to \d\.\d{3}\)", story)
+
+
+def test_the_demos_vessels_include_a_severe_stenosis():
+    base = base_waveform(0, 4.0)
+    assert base.mean == 4 * coronary().mean
+    assert np.allclose(base.samples(50), 4 * coronary().samples(50))
+    assert np.allclose(base_waveform(3, 4.0).samples(50), 4 * base_waveform(3).samples(50))
+    cases = synthetic(
+        *(2, 1),
+        hyperemia=4.0,
+        n_points=41,
+        tube=Tube1D(n_times=20, steps=200, cycles=2),
+        cache=False,
+        progress=False,
+    )
+    mild, severe = cases.ffr()
+    assert severe < 0.8 < mild
+    rest = synthetic(
+        *(2, 1),
+        n_points=41,
+        tube=Tube1D(n_times=20, steps=200, cycles=2),
+        cache=False,
+        progress=False,
+    )
+    ratio = cases.pressure[0, :, -1].mean() / rest.pressure[0, :, -1].mean()
+    assert ratio == pytest.approx(1.0, rel=1e-3)
 
 
 # ---- pcnde demo ------------------------------------------------------------------

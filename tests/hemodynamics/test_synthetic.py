@@ -15,6 +15,7 @@ from pcnde_bridge import (
     SolveError,
     load_cases,
 )
+from pcnde_bridge.hemodynamics.outlet import Windkessel
 from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.synthetic import (
     OUTLET_RESISTANCE,
@@ -73,7 +74,8 @@ def test_physics_is_that_of_the_solver(cases):
 
 def test_the_papers_numbers_and_split(solved):
     synthetic(cache=False, progress=False)
-    tube, vessels, waveforms, factors, n_points, _ = solved[0]
+    tube, vessels, waveforms, outlet, factors, n_points, _ = solved[0]
+    assert outlet == Windkessel(OUTLET_RESISTANCE)
     np.testing.assert_allclose([v.blockage for v in vessels], 0.4 + 0.05 * np.arange(10))
     assert factors == DATA_FACTORS
     assert waveforms == coronary().family()
