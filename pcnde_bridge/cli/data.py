@@ -43,7 +43,9 @@ def convert(
     period: float | None = option(None, "Cycle length, s; the last complete cycle is used."),
     time_step: float | None = option(None, "Time step of the 3D simulation, s (simvascular)."),
     units: str | None = options.UNITS,
-    flip: Literal["flow", "z"] | None = option(None, "Reverse the sign of the flow, or z."),
+    flip: Literal["flow", "z"] | None = option(
+        None, "flow: reverse the sign of the flow; z: reverse the direction of the axis."
+    ),
     time_points: int | None = option(None, "Resample the cycle to this number of steps."),
     points: int | None = option(None, "Resample the vessel to this number of points."),
     branch: int | None = option(None, "BranchId of the vessel (simvascular)."),
@@ -97,8 +99,8 @@ def design(
 ) -> None:
     """Choose the simulations to run, from inflows and vessels.
 
-    Every vessel can have every inflow. With --done, further ones are chosen, and the errors
-    of a model of the finished ones (preset physics) for all pairs are estimated.
+    Candidates are all pairs of vessel and inflow. With --done, choose further simulations,
+    train a model (preset physics) on the finished ones, and estimate its errors for all pairs.
     """
     from pcnde_bridge.data.selection import case_keys, pair_positions
     from pcnde_bridge.evaluation import design as designs

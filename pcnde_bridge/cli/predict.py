@@ -85,7 +85,7 @@ def predict(
     ),
     units: str | None = options.UNITS,
     period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
-    interpolate: bool = option(False, "Interpolate unequal time steps, and to the model's grid."),
+    interpolate: bool = option(False, "Resample to equal time steps and to the model's grid."),
     indices: Path | None = option(
         None,
         "Also write pressure drop, FFR, resistance and other indices of each case to this "

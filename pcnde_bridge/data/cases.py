@@ -59,7 +59,7 @@ class Cases(VesselQuantities):
     z : array_like, shape (n_points,)
         Positions along the vessel (cm), strictly increasing, at least 3.
     period : float, optional
-        Length of the cycle (s), which must equal ``n_times`` time steps, the default.
+        Length of the cycle (s), by default ``n_times`` time steps; any other value is rejected.
     labels : DataFrame or mapping, optional
         One row per case.  The columns ``geometry`` and ``waveform`` (whole numbers)
         together identify a case.  ``blockage`` is the fraction of the area that the

@@ -1,7 +1,7 @@
 """Baselines that a model must beat.
 
 * :class:`Unchanged`: no change along the vessel.
-* :class:`Solver1D`: the 1D solver, of which only the outlet is fitted.
+* :class:`Solver1D`: the 1D solver with a fitted outlet resistance.
 * :class:`ResponseSurface`: polynomials in principal components of the inputs.
 * :class:`StenosisLoss`: no change but a published pressure loss across the stenosis.
 * :class:`DropRegression`: a fitted, quasi-steady pressure drop across the stenosis.

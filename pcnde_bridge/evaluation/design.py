@@ -1,8 +1,8 @@
 """Which simulations to run: an ordered list of few cases, from inflows and areas alone.
 
-Each step takes the candidate next to the case that is farthest from those chosen before, as the
-method of Kennard and Stone (1969, Technometrics 11:137); the first two are the ends of the
-longest distance.  Distances are those of the quantities of
+The first two simulations are the two cases farthest apart.  Each further step finds the case
+farthest from all chosen simulations and chooses the candidate nearest to it (after Kennard and
+Stone 1969, Technometrics 11:137).  Distances are those of the quantities of
 :data:`~pcnde_bridge.uncertainty.novelty.QUANTITIES` that differ between the cases, such as the
 amplitude of the inflow and the logarithm of the narrowest area ratio, each over its range.  The
 method was chosen by errors on left-out cases, see the page "How many simulations do I need?".
@@ -100,8 +100,8 @@ def choose(
     DataFrame
         A row for each simulation: ``case``, its position; its quantities (see
         :func:`~pcnde_bridge.uncertainty.novelty.describe`) that differ between candidates;
-        ``reason``; ``uncovered``, the largest distance of a case of ``use`` from its nearest
-        simulation so far, in ranges of the quantities; and ``farthest``, that case.
+        ``reason``; ``uncovered``, the largest distance from a case of ``use`` to its nearest
+        simulation, each quantity scaled by its range; and ``farthest``, the position of that case.
 
     Raises
     ------

@@ -35,7 +35,7 @@ def sweep(
     held_out : Cases or None
         Further cases to evaluate.
     configs : mapping of str to PCNDEConfig, ClosureConfig or str
-        Settings, or names of presets, by any names.
+        Mapping from a name of your choice to settings or the name of a preset.
     seeds : sequence of int
         Random seeds of the fits.
     engine

@@ -38,7 +38,7 @@ class Stenosis:
     Attributes
     ----------
     blockage : float
-        Fraction of the healthy area that is closed at the throat, in [0, 1).
+        Fraction of the healthy area that is blocked at the throat, in [0, 1).
     position : float
         Distance of the throat from the inlet, cm.
     length : float

@@ -35,7 +35,7 @@ class OutletElements(NamedTuple):
 
 @dataclass(frozen=True)
 class Windkessel:
-    """Outlet with a resistance or three elements in front of a distal pressure.
+    """Outlet with a resistance, or a three-element Windkessel, and a distal pressure.
 
     p = R·Q + p_c,  C·dp_c/dt = Q − (p_c − p_d)/R_d.  Without R_d this is the
     resistance outlet p = R·Q + p_d.

@@ -172,8 +172,8 @@ class Waveform(Displayed):
         n_terms : int or None
             Largest number of harmonics; 60 is the paper's.  Samples in equal steps
             have no more than n/2; with None all of them are used, and the series
-            passes through every sample.  Lines have infinitely many harmonics; with
-            None the period divided by the shortest step are used, at most 1000.
+            passes through every sample.  For unequal
+            steps, None uses period / shortest step harmonics, at most 1000.
 
         Raises
         ------

@@ -38,7 +38,7 @@ Arrays = dict[str, AnyArray]
 
 
 class Predictor(Displayed, ABC):
-    """Common part of a model and an ensemble.
+    """Base class of :class:`PCNDE` and :class:`Ensemble`.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Predictor(Displayed, ABC):
         units : str or mapping, optional
             ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
             ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
-            data are rejected if they are unusual, or usual in other units as well.
+            data are rejected if they are implausible, or plausible in other units as well.
         samples : int
             Number of samples (a model of the preset ``physics``), 0 or at least 2, for the
             result's ``samples``, ``standard_deviation()`` and ``interval()``.  They need the
@@ -124,8 +124,8 @@ class Predictor(Displayed, ABC):
         Prediction
             Arrays of shape (case, time, z), and ``to_frame()``; ``novelty`` is the
             distance of each case from the training data.  An ensemble returns the mean of
-            its members, and as ``samples`` the members, moved away from the mean so that
-            their standard deviation is the calibrated one.
+            its members; its ``samples`` are the members, rescaled about their mean to the
+            calibrated standard deviation.
 
         Warns
         -----
