@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -24,48 +24,87 @@ from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.outlet import OutletElements, Windkessel
-from pcnde_bridge.hemodynamics.pressure_losses import effective_length, turbulent_drop, viscous_drop
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.hemodynamics.settings import TubeSettings
 from pcnde_bridge.hemodynamics.waveform import Waveform
 
 Labels = pd.DataFrame | Mapping[str, Any] | None
+Inlet = Literal["flow", "pressure"]
 
 GAMMA = 2.0 - math.sqrt(2.0)
 """Time of the first implicit stage of TR-BDF2, as a fraction of the step."""
 
 _LARGEST_AREA_RATIO = 2.5  # of S_u between neighboring points
-_STEPS_PER_HARMONIC = 8  # time steps per period of the highest harmonic
+_PER_HARMONIC = 8  # time steps per period, and points per length, of the shortest wave
 _SMALLEST_AMPLITUDE = 1e-3  # of the mean flow plus the largest amplitude
 
 
-class Tube(NamedTuple):
-    """Vessels and blood of all cases, and the steps in space and time.
+class Inputs(NamedTuple):
+    """Vessels and boundary conditions of all cases: arrays that the compiled solver takes.
 
     Attributes
     ----------
-    cells, end : array of shape (case, n) and (case,)
-        S_u in the cells and at the outlet, cm².
-    viscous, turbulent : array of shape (case, n)
-        Pressure loss around each face at S = S_u, per length and per Q or Q·|Q|.
-    outlet : OutletElements
-        Elements of the outlet.
-    density, kinematic_viscosity, convection : float
-        ρ (g/cm³), ν (cm²/s) and 1 + δ.
-    dz, dt : float
-        Length of a cell, cm, and time step, s.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    wall : dict of arrays of shape (case, z)
+        Parameters of the wall law.
+    inlet : array of shape (case, stage)
+        Flow, mL/s, or pressure, dyn/cm², at the inlet at both stages of every step of a cycle.
+    outlet : dict of arrays of shape (case, 1) or (case, stage)
+        Values of the outlet.
+    initial_pressure : array of shape (case, 1)
+        Pressure at rest, dyn/cm².
     """
 
-    cells: Any
-    end: Any
-    viscous: Any
-    turbulent: Any
-    outlet: OutletElements
+    area_undeformed: Any
+    wall: dict[str, Any]
+    inlet: Any
+    outlet: dict[str, Any]
+    initial_pressure: Any
+
+
+class Narrowings(NamedTuple):
+    """Stenoses of all cases, s for each case; those that a case has not have no spread.
+
+    Attributes
+    ----------
+    friction : array of shape (case, z)
+        Fraction of the stretch around each face on which the wall's own friction acts.
+    spread : array of shape (case, s, z)
+        Fraction of the loss that falls on the stretch around each face, per length.
+    upstream : integer array of shape (case, s)
+        Index of the point at which S_u is S_D.
+    blockage, length : array of shape (case, s)
+        Fraction of area, and length, cm.
+    """
+
+    friction: Any
+    spread: Any
+    upstream: Any
+    blockage: Any
+    length: Any
+
+
+class Blood(NamedTuple):
+    """Numbers common to all cases, see :class:`~pcnde_bridge.hemodynamics.solver.Tube1D`."""
+
     density: Any
-    kinematic_viscosity: Any
-    convection: Any
-    dz: Any
-    dt: Any
+    viscosity: Any
+    profile_exponent: Any
+    convection: Any  # momentum correction α
+    turbulent_coefficient: Any
+    dz: Any  # length of a cell, cm
+    dt: Any  # time step, s
+
+
+class Form(NamedTuple):
+    """Form of the equations, for which the solver is compiled."""
+
+    wall: type[Any]
+    outlet: type[Outlet]
+    pressure_inlet: bool
+    effective_length: bool
+    n_times: int
 
 
 @dataclass(frozen=True)
@@ -76,14 +115,8 @@ class Problem:
     ----------
     z : array of shape (n + 1,)
         Points, cm.
-    area_undeformed : array of shape (case, n + 1)
-        S_u, cm².
-    inflow : array of shape (time, step, stage, case)
-        Inlet flow of one cycle, mL/s.
-    tube : Tube
-        Numbers of the discrete equations.
-    initial_pressure : float
-        Pressure at rest, dyn/cm².
+    inputs, narrowings, blood, form
+        Numbers and form of the discrete equations.
     period : float
         Length of the cycle, s.
     labels : DataFrame
@@ -91,10 +124,10 @@ class Problem:
     """
 
     z: Array
-    area_undeformed: Array
-    inflow: Array
-    tube: Tube
-    initial_pressure: float
+    inputs: Inputs
+    narrowings: Narrowings
+    blood: Blood
+    form: Form
     period: float
     labels: pd.DataFrame
 
@@ -141,10 +174,12 @@ def discretize(
     z: npt.ArrayLike,
     area_undeformed: npt.ArrayLike,
     waveforms: Sequence[Waveform],
-    outlet: Windkessel,
+    outlet: Outlet,
+    *,
     stenoses: Sequence[Sequence[Stenosis]] | None = None,
-    initial_pressure: float | None = None,
+    initial_pressure: npt.ArrayLike | None = None,
     labels: Labels = None,
+    inlet: Inlet = "flow",
 ) -> Problem:
     """Check the input of :meth:`~pcnde_bridge.hemodynamics.solver.Tube1D.solve`, discretize it.
 
@@ -164,11 +199,7 @@ def discretize(
     for name, count in (("waveforms", len(waveforms)), ("stenoses", len(narrowings))):
         if count != n_cases:
             raise InputError(f"{name} must have an entry for each of {n_cases} cases, got {count}.")
-    for name in SOLVER_LABELS:
-        if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
-            what = "which is the name of a column that the solver adds"
-            raise InputError(f"labels has a column {name!r}, {what}; rename it.")
-    table = check_labels(labels, area)
+    table = _check_labels(labels, area)
     ratio = np.exp(np.abs(np.diff(np.log(area), axis=1)))
     for i, k in np.argwhere(ratio > _LARGEST_AREA_RATIO)[:1]:
         raise InputError(
@@ -176,21 +207,56 @@ def discretize(
             f"{ratio[i, k]:.2f}-fold between z = {points[k]:g} and {points[k + 1]:g} cm, "
             f"{_LARGEST_AREA_RATIO:g}-fold at most can be resolved; use more points."
         )
-    for i, waveform in enumerate(waveforms):
-        _check_waveform(tube, i, waveform, waveforms[0].period)
-        _check_speed(tube, points, area[i], waveform, case_name(i, table))
-    if not isinstance(outlet, Windkessel):
-        raise InputError(f"outlet must be a Windkessel, such as Windkessel(R), got {outlet!r}.")
-    elements = outlet.elements(n_cases)
-    pressure = _check_initial_pressure(tube, area, initial_pressure)
-    vessels = 0.5 * (area[:, :-1] + area[:, 1:]), area[:, -1]
-    losses = _losses(tube, points, area, narrowings, table)
+    if inlet not in get_args(Inlet):
+        raise InputError(f"inlet must be 'flow' or 'pressure', got {inlet!r}.")
+    if not isinstance(outlet, Outlet):
+        raise InputError(f"outlet must be an outlet such as Windkessel(R), got {outlet!r}.")
     period = waveforms[0].period
-    delta = 1.0 / (1.0 + tube.profile_exponent)  # of the momentum equation
-    blood = tube.density, tube.kinematic_viscosity, 1.0 + delta
-    steps = float(points[-1] - points[0]) / (len(points) - 1), period / tube.steps
-    numbers = Tube(*vessels, *losses, elements, *blood, *steps)
-    return Problem(points, area, _stage_inflow(tube, waveforms), numbers, pressure, period, table)
+    wall = _wall_parameters(tube, area)
+    pressure, speed = _check_initial_pressure(tube, area, initial_pressure)
+    for i, waveform in enumerate(waveforms):
+        waveform.check_period(f"waveforms[{i}]", period)
+        _check_resolution(tube, i, waveform, points, speed[i])
+        if inlet == "flow":
+            _check_speed(tube, points, area, waveform, i, table)
+    dt = period / tube.steps
+    stages = (dt * (np.arange(tube.steps)[:, None] + np.array([GAMMA, 1.0]))).ravel()
+    impedance = tube.density * speed[:, -1] / tube.wall.area(pressure, area)[:, -1]
+    boundary = outlet.values(n_cases, stages, period, impedance)
+    driven = np.array([waveform.flow(stages) for waveform in waveforms])
+    inputs = Inputs(area, wall, driven, boundary, pressure)
+    losses = _narrowings(tube, points, narrowings, table)
+    steps = (points[-1] - points[0]) / (len(points) - 1), dt
+    flow = tube.density, tube.viscosity, tube.profile_exponent, tube.convection
+    blood = Blood(*map(float, (*flow, tube.turbulent_coefficient, *steps)))
+    effective = tube.stenosis_loss == "effective_length"
+    form = Form(type(tube.wall), type(outlet), inlet == "pressure", effective, tube.n_times)
+    return Problem(points, inputs, losses, blood, form, period, table)
+
+
+def _check_labels(labels: Labels, area: Array) -> pd.DataFrame:
+    for name in SOLVER_LABELS:
+        if isinstance(labels, Mapping | pd.DataFrame) and name in labels:
+            what = "which is the name of a column that the solver adds"
+            raise InputError(f"labels has a column {name!r}, {what}; rename it.")
+    return check_labels(labels, area)
+
+
+def _wall_parameters(tube: TubeSettings, area: Array) -> dict[str, Array | None]:
+    """Return the parameters of the wall law, each (case, z); a wall without viscosity has no τ."""
+    found: dict[str, Array | None] = {}
+    for field in fields(tube.wall):
+        value = getattr(tube.wall, field.name)
+        try:
+            found[field.name] = None if value is None else np.broadcast_to(value, area.shape)
+        except ValueError:
+            raise InputError(
+                f"wall.{field.name} has the shape {np.shape(value)}, which does not broadcast to "
+                f"(case, z) = {area.shape}."
+            ) from None
+    if not np.any(found["retardation_time"]):
+        found["retardation_time"] = None
+    return found
 
 
 def _check_points(z: npt.ArrayLike) -> Array:
@@ -204,105 +270,106 @@ def _check_points(z: npt.ArrayLike) -> Array:
     return points
 
 
-def _check_waveform(tube: TubeSettings, i: int, waveform: Waveform, period: float) -> None:
-    if not math.isclose(waveform.period, period, rel_tol=1e-12):
-        raise InputError(
-            f"waveforms[{i}] has a period of {waveform.period:g} s, waveforms[0] of "
-            f"{period:g} s; solve different periods in different batches."
-        )
+def _check_resolution(
+    tube: TubeSettings, i: int, waveform: Waveform, z: Array, wave_speed: Array
+) -> None:
+    """Raise if time step or grid does not resolve the highest harmonic."""
     amplitude = np.hypot(waveform.cosine, waveform.sine)
     smallest = _SMALLEST_AMPLITUDE * (abs(waveform.mean) + amplitude.max(initial=0))
     highest = 1 + int(np.max(np.flatnonzero(amplitude > smallest), initial=-1))
-    if tube.steps < _STEPS_PER_HARMONIC * highest:
+    if tube.steps < _PER_HARMONIC * highest:
         raise InputError(
             f"The time step is too long: waveforms[{i}] has {highest} harmonics, which need "
-            f"at least {_STEPS_PER_HARMONIC * highest} steps per cycle, not {tube.steps}."
+            f"at least {_PER_HARMONIC * highest} steps per cycle, not {tube.steps}."
+        )
+    length = float(wave_speed.min()) * waveform.period / max(highest, 1)
+    least = math.ceil(_PER_HARMONIC * (z[-1] - z[0]) / length) + 1
+    if highest and len(z) < least:
+        raise InputError(
+            f"The grid is too coarse: waveforms[{i}] has {highest} harmonics, the shortest with "
+            f"waves of {length:.3g} cm, which need at least {least} points, not {len(z)}."
         )
 
 
 def _check_speed(
-    tube: TubeSettings, z: Array, area_undeformed: Array, waveform: Waveform, name: str
+    tube: TubeSettings, z: Array, areas: Array, waveform: Waveform, i: int, labels: pd.DataFrame
 ) -> None:
     """Raise if a flow is faster than the pulse wave, which the scheme does not support."""
-    narrowest = int(np.argmin(area_undeformed))
-    smallest = area_undeformed[narrowest]
-    speed = np.abs(waveform.samples(tube.steps)).max() / smallest
-    wave_speed = float(tube.wall.wave_speed(smallest, smallest, tube.density))
+    narrowest = int(np.argmin(areas[i]))
+    speed = np.abs(waveform.samples(tube.steps)).max() / areas[i, narrowest]
+    wave_speed = float(tube.wall.wave_speed(areas, areas, tube.density)[i, narrowest])
     if speed >= wave_speed:
         raise InputError(
             f"The flow would be faster than the pulse wave: {speed:.0f} against {wave_speed:.0f} "
-            f"cm/s in {name} at z = {z[narrowest]:g} cm; lower the flow or the blockage."
+            f"cm/s in {case_name(i, labels)} at z = {z[narrowest]:g} cm; lower the flow or the "
+            "blockage."
         )
 
 
-def _check_initial_pressure(tube: TubeSettings, area: Array, pressure: float | None) -> float:
-    if pressure is None:
-        pressure = tube.wall.reference_pressure
-    rest = finite("initial_pressure", pressure, "dyn/cm²")
+def _check_initial_pressure(
+    tube: TubeSettings, area: Array, pressure: npt.ArrayLike | None
+) -> tuple[Array, Array]:
+    """Return the pressure at rest, (case, 1), and its wave speed, (case, z)."""
+    given = tube.wall.reference_pressure if pressure is None else pressure
+    scalar = np.ndim(given) == 0
+    given = finite("initial_pressure", given, "dyn/cm²") if scalar else given
+    rest = finite_array("initial_pressure", given)
+    if pressure is None:  # of the wall, which has one value, or varies along z
+        rest = np.broadcast_to(rest, area.shape)[:, :1]
+    elif rest.size in (1, len(area)) and rest.ndim < 2:
+        rest = np.broadcast_to(rest.reshape(-1, 1), (len(area), 1))
+    else:
+        wanted = f"one number or one for each of {len(area)} cases"
+        raise InputError(f"initial_pressure must be {wanted}, got shape {rest.shape}.")
     with np.errstate(divide="ignore", invalid="ignore"):
         area_at_rest = tube.wall.area(rest, area)
-        slope = tube.wall.pressure_slope(np.abs(area_at_rest), area)
-    if not all((np.isfinite(value) & (value > 0.0)).all() for value in (area_at_rest, slope)):
+        speed = tube.wall.wave_speed(np.abs(area_at_rest), area, tube.density)
+    wrong = ~((area_at_rest > 0.0) & np.isfinite(area_at_rest) & np.isfinite(speed) & (speed > 0.0))
+    for case in np.flatnonzero(wrong.any(axis=1))[:1]:
         reason = "is outside the wall law's range, or would collapse or burst the wall"
-        raise InputError(f"initial_pressure = {rest:g} dyn/cm² {reason}.")
-    return rest
+        raise InputError(f"initial_pressure = {rest[case, 0]:g} dyn/cm² {reason}.")
+    return rest, speed
 
 
-def _losses(
-    tube: TubeSettings,
-    z: Array,
-    area_undeformed: Array,
-    stenoses: Sequence[Sequence[Stenosis]],
-    labels: pd.DataFrame,
-) -> tuple[Array, Array]:
-    """Loss of pressure per length around each face, per Q and per Q·|Q|.
-
-    Wall friction N·Q/S is written as the pressure gradient −ρ·N·Q/S², so that it
-    scales with the area as the loss of a stenosis does, which replaces it there.
-    """
-    dz = (z[-1] - z[0]) / (len(z) - 1)
+def _narrowings(
+    tube: TubeSettings, z: Array, stenoses: Sequence[Sequence[Stenosis]], labels: pd.DataFrame
+) -> Narrowings:
+    """Return the stenoses in which the loss of Seeley and Young replaces the wall's friction."""
+    dz, centers = (z[-1] - z[0]) / (len(z) - 1), (z[1:] + z[:-1]) / 2
     # The momentum of a face is balanced from cell center to cell center, and on the
-    # last face from the last center to the outlet.
-    left = z[1:] - dz / 2
-    right = np.append(z[1:-1] + dz / 2, z[-1])
-    # Mean of 1/S_u² over that stretch, if linear between the points.
-    inverse = area_undeformed**-2.0
-    mean = 0.75 * inverse[:, 1:]
-    mean[:, :-1] += (inverse[:, :-2] + inverse[:, 2:]) / 8
-    mean[:, -1] += inverse[:, -2] / 4
-    # N of the momentum equation, and its ratio to that of the parabolic profile.
-    friction = -2.0 * math.pi * tube.kinematic_viscosity * (tube.profile_exponent + 2.0)
-    friction_ratio = (tube.profile_exponent + 2.0) / 4.0
-    viscous = -tube.density * friction * mean
-    turbulent = np.zeros_like(viscous)
+    # first and last face from or to the end.
+    left, right = np.append(z[0], centers), np.append(centers, z[-1])
+    shape = len(stenoses), max(1, *(len(several) for several in stenoses))
+    found = Narrowings(
+        np.ones((shape[0], len(z))),
+        np.zeros((*shape, len(z))),
+        np.zeros(shape, int),
+        np.zeros(shape),
+        np.ones(shape),
+    )
     for i, several in enumerate(stenoses):
-        name = case_name(i, labels)
-        for stenosis in several:
-            if tube.stenosis_loss != "none" and not stenosis_fits(stenosis, z):
-                raise InputError(
-                    f"A stenosis of {name} reaches from {stenosis.start:g} to {stenosis.end:g} cm, "
-                    f"too close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
-                )
-            if stenosis.length < 4 * dz:
-                raise InputError(
-                    f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm "
-                    f"is shorter than 4 cells of {dz:g} cm; use more points."
-                )
-        if tube.stenosis_loss == "none":
-            continue
-        shares = [_share(left, right, stenosis) for stenosis in several]
-        viscous[i] *= 1.0 - np.minimum(sum(shares), 1.0)
-        for stenosis in several:
-            healthy, length = upstream_area(z, area_undeformed[i], stenosis.start), stenosis.length
-            throat = healthy * (1.0 - stenosis.blockage)
-            if tube.stenosis_loss == "effective_length":
-                length = effective_length(length, throat)
-            spread = _spread(left, right, stenosis)
-            drop = viscous_drop(1.0, healthy, throat, length, tube.viscosity)
-            viscous[i] += spread * drop * friction_ratio
-            blood = tube.density, tube.turbulent_coefficient
-            turbulent[i] += spread * turbulent_drop(1.0, healthy, throat, *blood)
-    return viscous, turbulent
+        for k, stenosis in enumerate(several):
+            _check_stenosis(stenosis, z, dz, tube.stenosis_loss, case_name(i, labels))
+            if tube.stenosis_loss == "none":
+                continue
+            found.friction[i] -= _share(left, right, stenosis)
+            found.spread[i, k] = _spread(left, right, stenosis)
+            found.upstream[i, k] = upstream_point(z, stenosis.start)
+            found.blockage[i, k], found.length[i, k] = stenosis.blockage, stenosis.length
+    return found._replace(friction=np.maximum(found.friction, 0.0))
+
+
+def _check_stenosis(stenosis: Stenosis, z: Array, dz: float, loss: str, name: str) -> None:
+    if loss != "none" and not stenosis_fits(stenosis, z):
+        raise InputError(
+            f"A stenosis of {name} reaches from {stenosis.start:g} to {stenosis.end:g} cm, "
+            f"too close to the ends of the tube ({z[0]:g} … {z[-1]:g} cm)."
+        )
+    if stenosis.length < 4 * dz:
+        raise InputError(
+            f"The grid is too coarse: the stenosis of {name} at {stenosis.position:g} cm "
+            f"is shorter than 4 cells of {dz:g} cm; use more points."
+        )
 
 
 def stenosis_fits(stenosis: Stenosis, z: Array) -> bool:
@@ -330,15 +397,7 @@ def _spread(left: Array, right: Array, stenosis: Stenosis) -> Array:
     return (upstream_of(right) - upstream_of(left)) / (right - left)
 
 
-def upstream_area(z: Array, area_undeformed: Array, start: float) -> float:
-    """Return S_D: S_u at the last point upstream of the stenosis that starts there."""
+def upstream_point(z: Array, start: float) -> int:
+    """Return the last point upstream of the stenosis that starts there: S_u there is S_D."""
     point = int(np.searchsorted(z, start + 1e-9 * (z[-1] - z[0]), side="right")) - 1
-    return float(area_undeformed[max(point, 0)])
-
-
-def _stage_inflow(tube: TubeSettings, waveforms: Sequence[Waveform]) -> Array:
-    """Inlet flow at both stages of every step of a cycle, (time, step, stage, case)."""
-    dt = waveforms[0].period / tube.steps
-    stages = dt * (np.arange(tube.steps)[:, None] + np.array([GAMMA, 1.0]))
-    inflow = np.stack([waveform.flow(stages) for waveform in waveforms], axis=-1)
-    return inflow.reshape(tube.n_times, tube.steps // tube.n_times, 2, len(waveforms))
+    return max(point, 0)

@@ -1,40 +1,122 @@
-"""Outlets of the 1D solver: a resistance or a three-element Windkessel."""
+"""Outlets of the 1D solver: linear circuits of resistances and capacitances.
+
+Every circuit has the form p = R·Q + x₀ with the states x of
+
+    E·dx/dt = A·x + B·Q + f(t),
+
+where E is diagonal.  A state of E = 0 has no capacitance.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import finite_array
+from pcnde_bridge._utils.validation import all_of, finite_array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.waveform import Waveform
+
+Pressure = npt.ArrayLike | Waveform | tuple[Waveform, ...]
+"""Constant pressure, one for each case, or periodic functions of time, dyn/cm²."""
 
 
-class OutletElements(NamedTuple):
-    """Elements of an outlet, one value for each case.
+class Circuit(NamedTuple):
+    """Numbers of a circuit with m states, see the module; nested by state, then (case, ...).
 
     Attributes
     ----------
-    proximal, distal : array of shape (case,)
-        R and R_d, dyn·s/cm⁵.
-    delay : array of shape (case,)
-        Time constant R_d·C, s.
-    distal_pressure : array of shape (case,)
-        p_d, dyn/cm².
+    resistance : array of shape (case, 1)
+        R, dyn·s/cm⁵.
+    storage, drive : list of m arrays of shape (case, 1)
+        Diagonal of E, and B.
+    exchange : list of m lists of m arrays of shape (case, 1)
+        A.
+    source : list of m arrays of shape (case, 1) or (case, time)
+        f(t).
     """
 
-    proximal: Any
-    distal: Any
-    delay: Any
-    distal_pressure: Any
+    resistance: Any
+    storage: list[Any]
+    exchange: list[list[Any]]
+    drive: list[Any]
+    source: list[Any]
+
+
+class Outlet(ABC):
+    """Outlet of the solver; its fields are resistances, capacitances and pressures."""
+
+    pressures: ClassVar[tuple[str, ...]] = ("distal_pressure",)
+
+    @staticmethod
+    @abstractmethod
+    def circuit(values: Mapping[str, Any]) -> Circuit:
+        """Return the circuit of the values of all fields, (case, 1) or (case, time)."""
+
+    @staticmethod
+    def initial_state(values: Mapping[str, Any], pressure: Any) -> list[Any]:
+        """Return the states of a circuit at rest at a pressure, dyn/cm², shape (case, 1)."""
+        return [pressure]
+
+    @classmethod
+    def settling(cls, values: Mapping[str, Any]) -> tuple[Array, Array]:
+        """Return total resistance and longest time constant of a circuit, each (case,)."""
+        circuit = cls.circuit(values)
+        storage, exchange, drive = (
+            np.moveaxis(np.array(part)[..., 0], -1, 0)
+            for part in (circuit.storage, circuit.exchange, circuit.drive)
+        )
+        inverse = np.linalg.inv(exchange)
+        total = circuit.resistance[:, 0] - np.einsum("cj,cj->c", inverse[:, 0], drive)
+        times = np.abs(np.linalg.eigvals(inverse * storage[:, None])).max(axis=1)
+        return np.asarray(total), np.asarray(times)
+
+    def values(self, n_cases: int, time: Array, period: float, impedance: Array) -> dict[str, Any]:
+        """Check the fields and return them for all cases.
+
+        Parameters
+        ----------
+        n_cases : int
+            Number of cases.
+        time : array, shape (time,)
+            Time points at which the pressures are needed, s.
+        period : float
+            Length of the cycle, s.
+        impedance : array, shape (case,)
+            Characteristic impedance ρ·c/S of the vessel's end, dyn·s/cm⁵.
+
+        Returns
+        -------
+        dict
+            Fields, of shape (case, 1), pressures (case, time).
+
+        Raises
+        ------
+        InputError
+            If a value is not finite, a resistance or capacitance is negative, an array has
+            neither one value nor one for each case, or a pressure has another period.
+        """
+        found = {}
+        for name in (field.name for field in fields(self)):  # type: ignore[arg-type]
+            value = getattr(self, name)
+            if name not in self.pressures:
+                found[name] = _for_cases(name, value, n_cases, 0.0)[:, None]
+            elif isinstance(value, Waveform | tuple) and not np.isscalar(value):
+                found[name] = _over_time(name, value, n_cases, time, period)
+            else:
+                constant = _for_cases(name, value, n_cases, -np.inf)[:, None]
+                found[name] = np.broadcast_to(constant, (n_cases, len(time)))
+        return found
 
 
 @dataclass(frozen=True)
-class Windkessel:
+class Windkessel(Outlet):
     """Outlet with a resistance, or a three-element Windkessel, and a distal pressure.
 
     p = R·Q + p_c,  C·dp_c/dt = Q − (p_c − p_d)/R_d.  Without R_d this is the
@@ -48,37 +130,147 @@ class Windkessel:
         R_d, dyn·s/cm⁵.
     capacitance : float or array_like, shape (n_cases,)
         C, cm⁵/dyn.
-    distal_pressure : float or array_like, shape (n_cases,)
+    distal_pressure : float, array_like of shape (n_cases,), Waveform or tuple of Waveform
         p_d, dyn/cm².
     """
 
     resistance: npt.ArrayLike
     distal_resistance: npt.ArrayLike = 0.0
     capacitance: npt.ArrayLike = 0.0
-    distal_pressure: npt.ArrayLike = 0.0
+    distal_pressure: Pressure = 0.0
 
-    def elements(self, n_cases: int) -> OutletElements:
-        """Check the values and broadcast them to all cases.
+    def values(self, n_cases: int, time: Array, period: float, impedance: Array) -> dict[str, Any]:
+        """Check the fields and return them for all cases; see :class:`Outlet`."""
+        found = super().values(n_cases, time, period, impedance)
+        if ((found["capacitance"] > 0.0) & (found["distal_resistance"] == 0.0)).any():
+            raise InputError(
+                "A Windkessel with a capacitance needs a distal_resistance, which is zero; "
+                "for two elements use Windkessel(0, R, C)."
+            )
+        return found
 
-        Raises
-        ------
-        InputError
-            If a value is not finite, a resistance or the capacitance is negative, or an
-            array has neither one value nor one for each case.
-        """
-        proximal, distal, capacitance, pressure = (
-            self._for_cases(field.name, n_cases) for field in fields(self)
+    @staticmethod
+    def circuit(values: Mapping[str, Any]) -> Circuit:
+        """Return the circuit; its state is p_c."""
+        distal = values["distal_resistance"]
+        storage = distal * values["capacitance"]
+        exchange = [[0.0 * distal - 1.0]]
+        return Circuit(
+            values["resistance"], [storage], exchange, [distal], [values["distal_pressure"]]
         )
-        return OutletElements(proximal, distal, distal * capacitance, pressure)
 
-    def _for_cases(self, name: str, n_cases: int) -> Array:
-        value = finite_array(f"outlet.{name}", getattr(self, name))
-        if value.ndim > 1 or value.size not in (1, n_cases):
-            wanted = f"one number or one for each of {n_cases} cases"
-            raise InputError(f"outlet.{name} must be {wanted}, got shape {value.shape}.")
-        if name != "distal_pressure" and (value < 0.0).any():
-            raise InputError(f"outlet.{name} must not be negative, got {value.min():g}.")
-        return np.broadcast_to(value, (n_cases,))
+
+@dataclass(frozen=True)
+class CoronaryOutlet(Outlet):
+    """Coronary outlet of Kim et al. (2010) with the pressure of the heart muscle.
+
+    Arteries, microcirculation and veins:  p = R_a·Q + p₁,
+
+        C_a·dp₁/dt = Q − (p₁ − p₂)/R_am,   C_im·d(p₂ − p_im)/dt = (p₁ − p₂)/R_am − (p₂ − p_v)/R_v.
+
+    Attributes
+    ----------
+    arterial_resistance, microvascular_resistance, venous_resistance : float or array_like
+        R_a, R_am and R_v, dyn·s/cm⁵, one value or shape (n_cases,).
+    arterial_capacitance, intramyocardial_capacitance : float or array_like
+        C_a and C_im, cm⁵/dyn.
+    intramyocardial_pressure : float, array_like, Waveform or tuple of Waveform
+        p_im, dyn/cm²; a waveform's values are pressures.
+    venous_pressure : float, array_like, Waveform or tuple of Waveform
+        p_v, dyn/cm².
+
+    References
+    ----------
+    Kim et al. (2010), Annals of Biomedical Engineering 38:3195.
+    """
+
+    arterial_resistance: npt.ArrayLike
+    microvascular_resistance: npt.ArrayLike
+    venous_resistance: npt.ArrayLike
+    arterial_capacitance: npt.ArrayLike
+    intramyocardial_capacitance: npt.ArrayLike
+    intramyocardial_pressure: Pressure
+    venous_pressure: Pressure = 0.0
+
+    pressures: ClassVar[tuple[str, ...]] = ("intramyocardial_pressure", "venous_pressure")
+
+    def values(self, n_cases: int, time: Array, period: float, impedance: Array) -> dict[str, Any]:
+        """Check the fields and return them for all cases; see :class:`Outlet`."""
+        found = super().values(n_cases, time, period, impedance)
+        for name in ("microvascular_resistance", "venous_resistance"):
+            if (found[name] == 0.0).any():
+                raise InputError(f"outlet.{name} must be positive, got 0.")
+        return found
+
+    @staticmethod
+    def circuit(values: Mapping[str, Any]) -> Circuit:
+        """Return the circuit; its states are p₁ and p₂ − p_im."""
+        micro, venous = 1.0 / values["microvascular_resistance"], 1.0 / values["venous_resistance"]
+        muscle, vein = values["intramyocardial_pressure"], values["venous_pressure"]
+        return Circuit(
+            values["arterial_resistance"],
+            [values["arterial_capacitance"], values["intramyocardial_capacitance"]],
+            [[-micro, micro], [micro, -micro - venous]],
+            [0.0 * micro + 1.0, 0.0 * micro],
+            [micro * muscle, venous * vein - (micro + venous) * muscle],
+        )
+
+    @staticmethod
+    def initial_state(values: Mapping[str, Any], pressure: Any) -> list[Any]:
+        """Return the states of a circuit at rest at a pressure, dyn/cm², shape (case, 1)."""
+        return [pressure, pressure - values["intramyocardial_pressure"][:, -1:]]
+
+
+@dataclass(frozen=True)
+class Reflection(Outlet):
+    """Outlet that reflects a fraction of small pressure waves, none by default.
+
+    p = p_d + Z·(1 + Γ)/(1 − Γ)·Q with the vessel's impedance Z = ρ·c/S at its end and at
+    the initial pressure.
+
+    Attributes
+    ----------
+    coefficient : float or array_like, shape (n_cases,)
+        Γ in (−1, 1); 0 absorbs waves.
+    distal_pressure : float, array_like of shape (n_cases,), Waveform or tuple of Waveform
+        p_d, dyn/cm².
+    """
+
+    coefficient: npt.ArrayLike = 0.0
+    distal_pressure: Pressure = 0.0
+
+    def values(self, n_cases: int, time: Array, period: float, impedance: Array) -> dict[str, Any]:
+        """Return the values of the Windkessel with the same reflection; see :class:`Outlet`."""
+        factor = _for_cases("coefficient", self.coefficient, n_cases, -1.0)
+        if not (np.abs(factor) < 1.0).all():
+            raise InputError(f"outlet.coefficient must be in (−1, 1), got {factor.max():g}.")
+        resistance = impedance * (1.0 + factor) / (1.0 - factor)
+        same = Windkessel(resistance, distal_pressure=self.distal_pressure)
+        return same.values(n_cases, time, period, impedance)
+
+    circuit = staticmethod(Windkessel.circuit)
+
+
+def _for_cases(name: str, value: Any, n_cases: int, least: float) -> Array:
+    array = finite_array(f"outlet.{name}", value)
+    if array.ndim > 1 or array.size not in (1, n_cases):
+        wanted = f"one number or one for each of {n_cases} cases"
+        raise InputError(f"outlet.{name} must be {wanted}, got shape {array.shape}.")
+    if (array < least).any():
+        bound = "negative" if least == 0.0 else f"less than {least:g}"
+        raise InputError(f"outlet.{name} must not be {bound}, got {array.min():g}.")
+    return np.broadcast_to(array, (n_cases,))
+
+
+def _over_time(name: str, value: Any, n_cases: int, time: Array, period: float) -> Array:
+    several = (value,) * n_cases if isinstance(value, Waveform) else value
+    waveforms = all_of(Waveform, f"outlet.{name}", several)
+    if len(waveforms) != n_cases:
+        wanted = f"one waveform or one for each of {n_cases} cases"
+        raise InputError(f"outlet.{name} must be {wanted}, got {len(waveforms)}.")
+    for waveform in waveforms:
+        waveform.check_period(f"outlet.{name}", period)
+    return np.array([waveform.flow(time) for waveform in waveforms])
 
 
 def outlet_resistance(cases: Cases) -> float:

@@ -30,9 +30,11 @@ class TubeSettings:
     density: float = 1.06
     viscosity: float = 0.04
     profile_exponent: float = 2.0
+    momentum_correction: float | None = None
     n_times: int = 100
     steps: int = 500
     cycles: int = 3
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.wall, Wall):
@@ -40,11 +42,14 @@ class TubeSettings:
         if self.stenosis_loss not in get_args(StenosisLoss):
             known = ", ".join(map(repr, get_args(StenosisLoss)))
             raise InputError(f"stenosis_loss must be one of {known}, got {self.stenosis_loss!r}.")
-        check_fields(self, positive, density="g/cm³", viscosity="poise", profile_exponent="")
-        check_fields(self, finite, turbulent_coefficient="")
-        if self.turbulent_coefficient < 0.0:
-            value = self.turbulent_coefficient
-            raise InputError(f"turbulent_coefficient must not be negative, got {value!r}.")
+        check_fields(self, positive, density="g/cm³", profile_exponent="")
+        check_fields(self, finite, viscosity="poise", turbulent_coefficient="")
+        for name in ("viscosity", "turbulent_coefficient"):
+            if (value := getattr(self, name)) < 0.0:
+                raise InputError(f"Tube1D.{name} must not be negative, got {value!r}.")
+        for name in ("momentum_correction", "tolerance"):
+            if getattr(self, name) is not None:
+                check_fields(self, positive, **{name: ""})
         check_fields(self, whole, n_times=4, steps=1, cycles=1)
         if self.steps % self.n_times:
             raise InputError(
@@ -53,6 +58,7 @@ class TubeSettings:
             )
 
     @property
-    def kinematic_viscosity(self) -> float:
-        """ν = μ/ρ, cm²/s."""
-        return self.viscosity / self.density
+    def convection(self) -> float:
+        """Momentum correction α; by default that of the profile, (ζ + 2)/(ζ + 1)."""
+        profile = 1.0 + 1.0 / (1.0 + self.profile_exponent)
+        return profile if self.momentum_correction is None else self.momentum_correction

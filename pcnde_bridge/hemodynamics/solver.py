@@ -6,8 +6,9 @@ Equations, for flow Q(z, t), area S(z, t) and pressure p(S) from a wall law:
     ∂Q/∂t = −(1 + δ) ∂(Q²/S)/∂z − S/ρ ∂p/∂z + N Q/S + ν ∂²Q/∂z²
 
 with δ = 1/(1 + ζ) and N = −2πν(ζ + 2) for the velocity profile 1 − (r/R)^ζ
-(Hughes and Lubliner 1973); the parabola ζ = 2 gives the paper's 1/3 and −8πν.
-Inlet: Q = Q_in(t).  Outlet: a resistance or three-element Windkessel.
+(Hughes and Lubliner 1973), unless α = 1 + δ is given; the parabola ζ = 2 gives the
+paper's 1/3 and −8πν.
+Inlet: Q = Q_in(t) or p = p_in(t).  Outlet: see :mod:`~pcnde_bridge.hemodynamics.outlet`.
 
 **Space.**  Finite volumes on a staggered grid (Harlow and Welch 1965): areas in
 cells, flows on their faces, so that the inlet flow is imposed at the inlet and volume
@@ -33,9 +34,12 @@ waveforms are computed to 1e-5 of the flow and 1e-3 of the pressure.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,23 +48,24 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import SOLVER_LABELS
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.hemodynamics.discretization import (
+    Inlet,
+    Inputs,
     Labels,
     Problem,
     discretize,
     on_grid,
     stenosis_fits,
-    upstream_area,
+    upstream_point,
 )
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.outlet import Outlet, Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.settings import TubeSettings
+from pcnde_bridge.hemodynamics.solution import Solution, failures, periodicity, report, summary
 from pcnde_bridge.hemodynamics.waveform import Waveform
 
-_log = logging.getLogger(__name__)
-
-_NOT_PERIODIC = 1e-3
+_GROUP = 32  # cases that are computed together
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,18 @@ class Tube1D(TubeSettings):
         ρ (g/cm³) and μ (poise).
     profile_exponent : float
         ζ of the velocity profile; 2 is the parabola.
+    momentum_correction : float, optional
+        α of the convective term; by default the profile's (ζ + 2)/(ζ + 1) = 1 + δ.  A flat
+        profile has 1, and no friction with the viscosity 0.
     n_times : int
         Recorded time points per cycle.
     steps : int
         Time steps per cycle, a multiple of ``n_times``.
     cycles : int
-        Cycles computed from rest; the last one is returned.
+        Cycles computed at most; the last one is returned.
+    tolerance : float, optional
+        End before that when no case of a group is farther from its periodic cycle, as
+        the label ``periodicity`` measures it (see :meth:`solve`).
 
     Raises
     ------
@@ -107,11 +118,12 @@ class Tube1D(TubeSettings):
         self,
         vessels: Sequence[Vessel],
         waveforms: Sequence[Waveform],
-        outlet: Windkessel,
+        outlet: Outlet,
         *,
         n_points: int = 101,
-        initial_pressure: float | None = None,
+        initial_pressure: npt.ArrayLike | None = None,
         labels: Labels = None,
+        inlet: Inlet = "flow",
     ) -> Cases:
         """Solve idealized vessels, each with its waveform.
 
@@ -119,9 +131,7 @@ class Tube1D(TubeSettings):
         ----------
         vessels : sequence of Vessel, n_cases
             Vessels of the same length.
-        waveforms : sequence of Waveform, n_cases
-            Inlet flows of the same period.
-        outlet, initial_pressure, labels
+        waveforms, outlet, initial_pressure, labels, inlet
             See :meth:`solve`.  The label ``blockage`` is the vessel's by default.  Without
             labels, a pair of vessel and waveform that is repeated, at another outlet, is
             another geometry.
@@ -140,26 +150,32 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges.
         """
-        given = on_grid(vessels, waveforms, n_points, labels)
-        given |= {"waveforms": waveforms, "outlet": outlet, "initial_pressure": initial_pressure}
-        return self.solve_problem(discretize(self, **given))
+        return self.solve(
+            **on_grid(vessels, waveforms, n_points, labels),
+            waveforms=waveforms,
+            outlet=outlet,
+            initial_pressure=initial_pressure,
+            inlet=inlet,
+        )
 
     def solve(
         self,
         z: npt.ArrayLike,
         area_undeformed: npt.ArrayLike,
         waveforms: Sequence[Waveform],
-        outlet: Windkessel,
+        outlet: Outlet,
         *,
         stenoses: Sequence[Sequence[Stenosis]] | None = None,
-        initial_pressure: float | None = None,
+        initial_pressure: npt.ArrayLike | None = None,
         labels: Labels = None,
+        inlet: Inlet = "flow",
     ) -> Cases:
         """Solve vessels given by their undeformed area.
 
         Every case starts from rest (Q = 0).  Periodicity and volume balance of
         each case are returned as labels, and logged at level DEBUG.  A slow outlet, or a soft wall,
         needs many cycles to fill, unless ``initial_pressure`` is near the mean.
+        :meth:`run` goes on from a state, and returns the other cases where some diverge.
 
         Parameters
         ----------
@@ -168,28 +184,33 @@ class Tube1D(TubeSettings):
         area_undeformed : array_like, shape (n_cases, n_points)
             S_u, cm².
         waveforms : sequence of Waveform, n_cases
-            Inlet flows of the same period.
-        outlet : Windkessel
+            Inlet flows, or pressures, of the same period.
+        outlet : Outlet
             Outlet common to all cases, or with one value per case.
         stenoses : sequence of sequences of Stenosis, n_cases
             Stenoses in which the Seeley–Young drop acts; none by default.  Position, length
             and blockage are used; S_D is S_u at the last point before the stenosis.
-        initial_pressure : float, optional
-            Pressure at rest, in the vessel and in the Windkessel's capacitor,
+        initial_pressure : float or array_like of shape (n_cases,), optional
+            Pressure at rest, in the vessel and in the capacitances of the outlet,
             dyn/cm².  By default the wall's reference pressure, so that S = S_u.
         labels : DataFrame or mapping, optional
             See :class:`~pcnde_bridge.data.cases.Cases`.
+        inlet : {'flow', 'pressure'}
+            Quantity of the waveforms: Q in mL/s, or p in dyn/cm².
 
         Returns
         -------
         Cases
             The last cycle at ``n_times`` time points from t = 0 and the points z, with
-            two more labels.  ``periodicity`` is the largest of the relative changes
+            the wall shear stress (ζ + 2)·μ·U/r of the velocity profile and two more labels.
+            ``periodicity`` is the largest of the relative changes
             ‖last − previous cycle‖/‖last cycle‖ of flow, area and pressure, divided by
             1 − exp(−T/τ) (NaN with one cycle).  ``volume_balance`` is the change of
             volume in the last cycle minus the net inflow, divided by the volume.
-            With τ = R_d·C + (R + R_d)·∫dS/dp dz, in which Windkessel and vessel
-            fill, ``periodicity`` is the distance of the cycles to the periodic one.
+            With τ = τ_o + R_o·∫dS/dp dz, the sum of the times in which outlet and vessel
+            fill, ``periodicity`` is the distance of the cycles to the periodic one.  R_o
+            is the resistance of the outlet and τ_o its longest time constant, R_d·C of
+            a Windkessel.
 
         Raises
         ------
@@ -198,33 +219,134 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges; names the case, the time and the place.
         """
-        given = z, area_undeformed, waveforms, outlet, stenoses, initial_pressure, labels
-        return self.solve_problem(discretize(self, *given))
+        problem = discretize(
+            self,
+            z,
+            area_undeformed,
+            waveforms,
+            outlet,
+            stenoses=stenoses,
+            initial_pressure=initial_pressure,
+            labels=labels,
+            inlet=inlet,
+        )
+        return self.run(problem).check()
 
-    def solve_problem(self, problem: Problem) -> Cases:
-        """Solve a problem that is already checked and discretized; see :meth:`solve`."""
-        with double_precision():
-            from pcnde_bridge.hemodynamics.tr_bdf2 import run
+    def run(self, problem: Problem, state: Any = None) -> Solution:
+        """Solve a problem that is already checked and discretized.
 
-            last, previous, volume_balance = run(self.wall, problem, self.cycles)
-        periodicity = _periodicity(last, previous) / self._settling(problem, last[1])
-        _report(periodicity, volume_balance)
-        flow, area, pressure = last
+        Cases are computed in groups of up to 32, one on each processor, so that few shapes are
+        compiled and the arrays of a group stay in the processor's cache.
+
+        Parameters
+        ----------
+        problem : Problem
+            Of :func:`~pcnde_bridge.hemodynamics.discretization.discretize`.
+        state : optional
+            State of another solution, of as many cases and points, from which to go on; by
+            default rest.
+
+        Returns
+        -------
+        Solution
+            The last cycle of the cases that did not diverge.
+
+        Raises
+        ------
+        SolveError
+            If all cases diverge.
+        """
+        n_cases, n_points = problem.inputs.area_undeformed.shape
+        groups = np.split(np.arange(n_cases), range(_GROUP, n_cases, _GROUP))
+        if state is not None and state[0] != (n_cases, n_points, problem.form):
+            raise InputError("The state is of another number of cases or points, or of other laws.")
+        states = [None] * len(groups) if state is None else state[1]
+        run = partial(self._run_group, problem)
+        if len(groups) == 1:
+            parts = [run(groups[0], states[0])]
+        else:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                parts = list(pool.map(run, groups, states))
+        failed = {case: text for part in parts for case, text in part[2].items()}
+        if len(failed) == n_cases:
+            raise SolveError(summary(failed))
+        kept = np.setdiff1d(np.arange(n_cases), list(failed))
+        flow, area, pressure, distance, balance = (
+            np.concatenate(values)[kept]
+            for values in zip(*(part[0] for part in parts), strict=True)
+        )
+        report(distance, balance)
+        labels = problem.labels.iloc[kept].reset_index(drop=True)
+        labels = labels.assign(periodicity=distance, volume_balance=balance)
         time = np.arange(self.n_times) * (problem.period / self.n_times)
-        labels = problem.labels.assign(periodicity=periodicity, volume_balance=volume_balance)
-        z, period, s_u = problem.z, problem.period, problem.area_undeformed
-        fields = flow, area, pressure, s_u, time, z
-        return Cases(*fields, period=period, labels=labels, check=False)
+        fields = flow, area, pressure, problem.inputs.area_undeformed[kept], time, problem.z
+        shear = (self.profile_exponent + 2.0) * self.viscosity * flow / area * np.sqrt(np.pi / area)
+        more = {"period": problem.period, "labels": labels, "wall_shear_stress": shear}
+        reached = (n_cases, n_points, problem.form), [part[1] for part in parts]
+        return Solution(Cases(*fields, **more, check=False), reached, failed)
 
-    def _settling(self, problem: Problem, area: Array) -> Array:
-        """Fraction of its distance to the periodic state that a cycle covers, (case,)."""
-        proximal, distal, delay, _ = problem.tube.outlet
-        slope = self.wall.pressure_slope(area.mean(axis=1), problem.area_undeformed)
-        compliance = (1.0 / slope).mean(axis=1) * (problem.z[-1] - problem.z[0])
-        # The sum of both times is an upper bound of the slower of two that are coupled.
-        slowest = delay + (proximal + distal) * compliance
-        with np.errstate(divide="ignore"):
-            return np.asarray(-np.expm1(-problem.period / slowest))
+    def jax_function(self, problem: Problem) -> tuple[Callable[[Inputs], Any], Inputs]:
+        """Return the solver as a pure JAX function, and its argument for a problem.
+
+        The function may be used under ``jit``, ``vmap`` and ``grad``; its derivatives are those
+        of the discrete equations.  It checks nothing and needs ``jax_enable_x64``.
+
+        Parameters
+        ----------
+        problem : Problem
+            Of :func:`~pcnde_bridge.hemodynamics.discretization.discretize`.
+
+        Returns
+        -------
+        function : callable
+            Takes :class:`~pcnde_bridge.hemodynamics.discretization.Inputs`: undeformed area,
+            parameters of the wall, inlet, outlet and initial pressure.  Returns flow, area
+            and pressure of the last of ``cycles`` cycles, each (case, time, z).
+        inputs : Inputs
+            Those of the problem, as arrays.
+        """
+
+        def function(inputs: Inputs) -> Any:
+            from pcnde_bridge.hemodynamics import tr_bdf2
+
+            given = problem.form, inputs, problem.narrowings, problem.blood
+            state = tr_bdf2.start(*given)
+            for _ in range(self.cycles):
+                state, records, _ = tr_bdf2.cycle(*given, state)
+            return records
+
+        return function, problem.inputs
+
+    def _run_group(self, problem: Problem, group: Any, state: Any) -> tuple[list[Any], Any, Any]:
+        """Return the last cycle of some cases with its accuracy, its end, and the failures."""
+        # The last case fills the group up to a power of two.
+        size, count = 1 << (len(group) - 1).bit_length(), len(group)
+        cases = np.append(group, np.full(size - count, group[-1]))
+        with double_precision():
+            import jax
+
+            from pcnde_bridge.hemodynamics import tr_bdf2
+
+            inputs, narrowings = jax.tree.map(
+                lambda values: values[cases], (problem.inputs, problem.narrowings)
+            )
+            given = problem.form, inputs, narrowings, problem.blood
+            state = tr_bdf2.start(*given) if state is None else state
+            last, distance = None, np.full(count, np.nan)
+            failed: dict[int, str] = {}
+            for number in range(self.cycles):
+                state, records, balance = tr_bdf2.cycle(*given, state)
+                previous, last = last, [np.asarray(record)[:count] for record in records]
+                failed = failures(problem, group, state, number) | failed
+                if previous is not None:
+                    distance = periodicity(problem, group, last, previous)
+                alive = np.setdiff1d(np.arange(count), np.array(list(failed)) - group[0])
+                done = self.tolerance is not None and distance[alive] <= self.tolerance
+                if not len(alive) or np.all(done):
+                    break
+            state = jax.tree.map(np.asarray, state)
+        assert last is not None  # there is at least one cycle
+        return [*last, distance, np.asarray(balance)[:count]], state, failed
 
     def solve_like(
         self,
@@ -299,28 +421,6 @@ def _find_stenosis(z: Array, area_undeformed: Array, length: float) -> tuple[Ste
     if not inside[throat] or narrowing[throat] > 0.99:
         return ()
     position = float(z[throat])
-    upstream = upstream_area(z, area_undeformed, position - length / 2)
+    upstream = area_undeformed[upstream_point(z, position - length / 2)]
     blockage = float(1.0 - area_undeformed[throat] / upstream)
     return () if blockage < 0.01 else (Stenosis(blockage, position, length),)
-
-
-def _periodicity(last: list[Array], previous: list[Array] | None) -> Array:
-    """Largest relative change of flow, area and pressure from cycle to cycle, (case,)."""
-    if previous is None:
-        return np.full(len(last[0]), np.nan)
-
-    def norm(y: Array) -> Array:
-        return np.asarray(np.sqrt((y**2).sum(axis=(1, 2))))
-
-    pairs = zip(last, previous, strict=True)
-    return np.asarray(np.max([norm(a - b) / np.maximum(norm(a), 1e-300) for a, b in pairs], axis=0))
-
-
-def _report(periodicity: Array, volume_balance: Array) -> None:
-    _log.debug("Periodicity %s, volume balance %s.", periodicity, volume_balance)
-    if len(late := np.flatnonzero(periodicity > _NOT_PERIODIC)):
-        _log.warning(
-            "%d of %d cases are not periodic yet, case %d is %.1e away; use more cycles, or an "
-            "initial_pressure nearer the mean.",
-            *(len(late), len(periodicity), late[0], periodicity[late[0]]),
-        )

@@ -1,5 +1,6 @@
 """Time steps of the 1D solver: TR-BDF2 and Newton's method for all cases at once.
 
+The last axis of all arrays is the case, so that every operation runs over contiguous cases.
 Imports JAX; the solver imports this module when it computes.
 """
 
@@ -11,13 +12,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.lax.linalg import tridiagonal_solve
 
-from pcnde_bridge._typing import Array
-from pcnde_bridge.errors import SolveError
-from pcnde_bridge.hemodynamics.discretization import GAMMA, Problem, Tube, case_name
-from pcnde_bridge.hemodynamics.tube_laws import Wall
+from pcnde_bridge.hemodynamics.discretization import GAMMA, Blood, Form, Inputs, Narrowings
+from pcnde_bridge.hemodynamics.pressure_losses import effective_length, turbulent_drop, viscous_drop
+from pcnde_bridge.hemodynamics.tube_laws import WallAt
 
 # TR-BDF2 as a diagonally implicit Runge–Kutta method with an explicit first stage:
 # every implicit stage weighs its own slope by GAMMA/2, and the last stage weighs
@@ -26,306 +24,375 @@ _OWN = GAMMA / 2
 _WEIGHT = sqrt(2.0) / 4
 
 _MAX_NEWTON = 20
-_NEWTON_TOLERANCE = 1e-6  # of the last update; convergence is quadratic
+_NEWTON_TOLERANCE = 1e-3  # of the update before the last step; convergence is quadratic
 
 
-class _Fields(NamedTuple):
+class Fields(NamedTuple):
     """Unknowns of all cases at one time point, or their time derivatives; n cells."""
 
-    area: Any  # S in the cells (case, n)
-    flow: Any  # Q at the faces (case, n + 1); the first is the inlet
-    capacitor: Any  # p_c of the Windkessel (case,)
+    area: Any  # S in the cells (n, case)
+    flow: Any  # Q at the faces (n + 1, case)
+    outlet: Any  # states of the outlet (m, case)
 
 
-class _State(NamedTuple):
-    """All that one time step passes to the next."""
+class State(NamedTuple):
+    """All that one time step passes to the next.  A case that failed keeps its last state."""
 
-    now: _Fields
-    slope: _Fields
+    now: Fields
+    slope: Fields
+    inner: Any  # slope of the flow in the first stage of the latest step (n + 1, case)
+    inlet: Any  # Q or p at the inlet (case,)
     inflow: Any  # volume that flowed in minus volume that flowed out in this cycle (case,)
-    failed_at: Any  # step and point at which a case failed, or −1 (case, 2)
+    failed_at: Any  # step and point at which a case failed, or −1 (2, case)
 
 
 class _Stage(NamedTuple):
     """Equation y = known + own·f(y) of an implicit stage."""
 
-    known: _Fields
-    inflow: Any  # Q at the inlet (case,)
+    known: Fields
+    inlet: Any  # Q or p at the inlet (case,)
+    outlet: Any  # states of the outlet without flow (m, case)
 
 
-def run(wall: Wall, problem: Problem, cycles: int) -> tuple[list[Array], list[Array] | None, Array]:
-    """Compute all cycles from rest.
+@partial(jax.jit, static_argnames="form")
+def start(form: Form, inputs: Inputs, narrowings: Narrowings, blood: Blood) -> State:
+    """Return the state at rest."""
+    scheme, pressure = _Scheme(form, inputs, narrowings, blood), inputs.initial_pressure
+    area = scheme.cells.area(pressure.T)
+    flow = jnp.zeros((len(area) + 1, len(pressure)))
+    outlet = form.outlet.initial_state(inputs.outlet, pressure)
+    rest = Fields(area, flow, jnp.concatenate(outlet, axis=1).T)
+    slope = jax.tree.map(jnp.zeros_like, rest)
+    return State(rest, slope, flow, inputs.inlet[:, -1], flow[0], jnp.full((2, len(pressure)), -1))
+
+
+@partial(jax.jit, static_argnames="form")
+def cycle(
+    form: Form, inputs: Inputs, narrowings: Narrowings, blood: Blood, state: State
+) -> tuple[State, tuple[Any, Any, Any], Any]:
+    """Advance all cases by one cycle.
 
     Returns
     -------
-    last, previous : list of three arrays of shape (case, time, z), or None
-        Flow, area and pressure of the last cycle and of the one before it, if any.
+    state : State
+        The state at the end.
+    records : tuple of three arrays of shape (case, time, z)
+        Flow, area and pressure at the time points of the cycle.
     volume_balance : array of shape (case,)
-        Error of the volume balance of the last cycle, relative to the volume.
-
-    Raises
-    ------
-    SolveError
-        If a case diverges.
+        Change of the volume minus net inflow, relative to the volume.
     """
-    n_cases, n_faces = problem.area_undeformed.shape
-    cells, dz = problem.tube.cells, problem.tube.dz
-    rest = _Fields(
-        area=np.asarray(wall.area(problem.initial_pressure, cells)),
-        flow=np.zeros((n_cases, n_faces)),
-        capacitor=np.full(n_cases, problem.initial_pressure),
-    )
-    slope = _Fields(*(np.zeros_like(values) for values in rest))
-    state = _State(rest, slope, np.zeros(n_cases), np.full((n_cases, 2), -1))
-    last: list[Array] = []
-    for number in range(cycles):
-        previous = last
-        before = np.asarray(state.now.area).sum(axis=1) * dz
-        state = state._replace(inflow=np.zeros(n_cases))
-        state, records = _cycle(wall, problem.tube, state, problem.inflow)
-        _raise_if_diverged(np.asarray(state.failed_at), number, problem)
-        flow, pressure = (np.moveaxis(np.array(record), 0, 1) for record in records)
-        area = np.asarray(wall.area(pressure, problem.area_undeformed[:, None, :]))
-        last = [flow, area, pressure]
-    after = np.asarray(state.now.area).sum(axis=1) * dz
-    volume_balance = np.abs(after - before - np.asarray(state.inflow)) / after
-    return last, previous or None, volume_balance
+    numbers = inputs, narrowings, blood
+    scheme, shape = _Scheme(form, *numbers), (form.n_times, -1, 2)
+    scheme.fixed = _Scheme(form, *jax.lax.stop_gradient(numbers))
+    driven = jnp.moveaxis(inputs.inlet, 0, -1), scheme.sources
+    driven = jax.tree.map(lambda values: values.reshape(*shape, *values.shape[1:]), driven)
+    steps = jnp.arange(inputs.inlet.shape[1] // 2).reshape(form.n_times, -1)
 
-
-def _raise_if_diverged(failed_at: Array, cycle: int, problem: Problem) -> None:
-    failed = np.flatnonzero(failed_at[:, 0] >= 0)
-    if not len(failed):
-        return
-    case = int(failed[np.argmin(failed_at[failed, 0])])
-    step, point = (int(v) for v in failed_at[case])
-    time = cycle * problem.period + (step + 1) * problem.tube.dt
-    others = f" ({len(failed)} of {len(failed_at)} cases diverged)" if len(failed) > 1 else ""
-    raise SolveError(
-        f"{case_name(case, problem.labels).capitalize()} diverged at t = {time:.4g} s, "
-        f"near z = {problem.z[point]:.4g} cm{others}: the wall collapsed or Newton's method failed "
-        "there. Check the inlet flow, wall stiffness and outlet, or use more steps per cycle."
-    )
-
-
-@partial(jax.jit, static_argnames="wall")
-def _cycle(wall: Wall, tube: Tube, state: _State, inflow: Any) -> tuple[_State, tuple[Any, Any]]:
-    """Advance all cases by one cycle; record flow and pressure at its time points.
-
-    ``inflow`` has the shape (time, step, stage, case), the records (time, case, z).
-    """
-    scheme = _Scheme(wall, tube)
-    numbers = jnp.arange(inflow.shape[0] * inflow.shape[1]).reshape(inflow.shape[:2])
-
-    def time_point(state: _State, inputs: Any) -> Any:
-        record = scheme.record(state.now)
-        state, _ = jax.lax.scan(scheme.step, state, inputs)
+    def time_point(state: State, given: Any) -> Any:
+        record = scheme.record(state)
+        state, _ = jax.lax.scan(scheme.step, state, given)
         return state, record
 
-    end, records = jax.lax.scan(time_point, state, (numbers, inflow))
-    return end, records
-
-
-def _harmonic_mean(a: Any, b: Any) -> Any:
-    return 2.0 / (1.0 / a + 1.0 / b)
-
-
-def _behind(cell: Any, outlet: Any) -> Any:
-    """Values behind the faces: those of the next cell, or of the outlet."""
-    return jnp.concatenate([cell[:, 1:], outlet], axis=1)
+    before = state.now.area.sum(axis=0)
+    state = state._replace(inflow=jnp.zeros_like(state.inflow))
+    state, records = jax.lax.scan(time_point, state, (steps, driven))
+    after = state.now.area.sum(axis=0)
+    balance = jnp.abs(after - before - state.inflow / blood.dz) / after
+    flow, area, pressure = (jnp.moveaxis(record, 2, 0) for record in records)
+    return state, (flow, area, pressure), balance
 
 
 class _Scheme:
-    """Discrete equations of all cases inside the compiled cycle."""
+    """Discrete equations of all cases inside the compiled cycle.
 
-    def __init__(self, wall: Wall, tube: Tube) -> None:
-        cells, dz, dt = tube.cells, tube.dz, tube.dt
-        self.wall, self.tube = wall, tube
-        self.end = tube.end[:, None]
-        # S_u on the faces behind the inlet, the last at the outlet itself.
-        self.faces = _harmonic_mean(cells, jnp.concatenate([cells[:, 1:], self.end], axis=1))
-        # Distance over which a face's momentum is balanced.
-        self.width = jnp.full(cells.shape[1], dz).at[-1].set(dz / 2)
+    Momentum is balanced on the faces, each between two places: the inlet's end, the cells, and
+    the outlet's end.  Where the inlet's flow is given, that equation replaces the first balance.
+    """
+
+    def __init__(self, form: Form, inputs: Inputs, narrowings: Narrowings, blood: Blood) -> None:
+        self.form, self.blood = form, blood
+        vessel = jax.tree.map(jnp.transpose, (inputs.area_undeformed, inputs.wall))
+
+        def wall(select: Any) -> WallAt:
+            undeformed, parameters = jax.tree.map(select, vessel)
+            return form.wall.of(parameters).at(undeformed)
+
+        self.points, self.boundary = wall(lambda values: values), wall(_ends)
+        self.cells = wall(lambda values: 0.5 * (values[:-1] + values[1:]))
+        self.undeformed = _join(self.boundary.undeformed, self.cells.undeformed)
+        self.faces = _harmonic_mean(self.undeformed[:-1], self.undeformed[1:])
+        # Distance over which the momentum of a face is balanced.
+        width = jnp.full((len(self.faces), 1), blood.dz)
+        self.width = width.at[jnp.array([0, -1])].divide(2.0)
+        self.viscous, self.turbulent = self._losses(inputs.area_undeformed, narrowings)
         # Factors of a stage's own slope and, in the last stage, of the slopes before.
-        self.own, self.weight = _OWN * dt, _WEIGHT * dt
-        # Area that a cell loses with a unit of flow through its face.
-        self.outflow_share = self.own / dz
-        # Of both stages: factors of the first and the latest slope, time since the latest.
+        self.own, self.weight = _OWN * blood.dt, _WEIGHT * blood.dt
+        # Of both stages: factors of the first and the latest slope, time since the latest,
+        # and half the square of that time over the time between the latest two.
+        first, second = 2.0 * self.own, blood.dt - 2.0 * self.own
         self.stages = (
             jnp.array([self.own, self.weight]),
             jnp.array([0.0, self.weight]),
-            jnp.array([2.0 * self.own, dt - 2.0 * self.own]),
+            jnp.array([first, second]),
+            0.5 * jnp.array([first**2 / second, second**2 / first]),
         )
+        self._prepare_outlet(inputs)
+        self.fixed = self  # the same numbers, without derivatives
 
-    def capacitor(self, known: Any, flow: Any) -> Any:
-        """Return p_c of a stage from its known part and the outlet flow."""
-        _, distal, delay, pressure = self.tube.outlet
-        return (delay * known + self.own * (pressure + distal * flow)) / (delay + self.own)
+    def _losses(self, area: Any, narrowings: Narrowings) -> tuple[Any, Any]:
+        """Loss of pressure per length around each face at S = S_u, per Q and per Q·|Q|.
 
-    def outlet_pressure(self, flow: Any, known: Any) -> Any:
-        q = flow[:, -1]
-        return (self.capacitor(known, q) + self.tube.outlet.proximal * q)[:, None]
-
-    def balance(self, flow: Any, area: Any, known_capacitor: Any) -> tuple[Any, ...]:
-        """Return ∂Q/∂t on the faces behind the inlet, and its derivatives by the flows.
-
-        A flow also changes the areas of its two cells: the derivatives are by the flow at
-        the face before, at the face itself, and at the face behind.
+        Wall friction N·Q/S is written as the pressure gradient −ρ·N·Q/S², so that it
+        scales with the area as the loss of a stenosis does, which replaces it there.
         """
-        wall, tube, k, width = self.wall, self.tube, self.outflow_share, self.width
-        q, q_out = flow[:, 1:], flow[:, -1:]
-        # Area, pressure and momentum Q²/S of a cell, each with its derivatives by
-        # the flow that enters it and by the flow that leaves it.
-        center = 0.5 * (flow[:, :-1] + q)
-        p, m = wall.pressure(area, tube.cells), center**2 / area
-        p_enter = k * wall.pressure_slope(area, tube.cells)
-        m_enter, m_leave = (center - k * m) / area, (center + k * m) / area
-
-        p_out, p_out_q, s_out, s_out_q = self._outlet(flow, known_capacitor)
-        m_out = q_out**2 / s_out
-        s_b, p_b, m_b = _behind(area, s_out), _behind(p, p_out), _behind(m, m_out)
-        s_b_q = _behind(jnp.full_like(area, k), s_out_q)
-        p_b_q = _behind(p_enter, p_out_q)
-        m_b_q = _behind(m_enter, (2.0 * q_out - m_out * s_out_q) / s_out)
-        zero = jnp.zeros_like(q_out)
-        s_b_next = _behind(jnp.full_like(area, -k), zero)
-        p_b_next, m_b_next = _behind(-p_enter, zero), _behind(m_leave, zero)
-
-        s = _harmonic_mean(area, s_b)
-        gradient = (p_b - p) / width
-        widening = (self.faces / s) ** 2
-        loss = (tube.viscous + tube.turbulent * jnp.abs(q)) * q * widening
-        bend = jnp.diff(flow, 2, axis=1) / tube.dz**2
-        bend = jnp.concatenate([bend, bend[:, -1:]], axis=1)
-        rho, nu = tube.density, tube.kinematic_viscosity
-        rate = -tube.convection * (m_b - m) / width - s / rho * (gradient + loss) + nu * bend
-
-        rate_s = (loss - gradient) / rho
-        s_before, s_behind = 0.5 * (s / area) ** 2, 0.5 * (s / s_b) ** 2
-        resistance = (tube.viscous + 2.0 * tube.turbulent * jnp.abs(q)) * widening
-        stiff, inert, diffusion = s / (rho * width), tube.convection / width, nu / tube.dz**2
-        before = inert * m_enter + stiff * p_enter + rate_s * s_before * k + diffusion
-        own = (
-            inert * (m_leave - m_b_q)
-            - stiff * (p_enter + p_b_q)
-            + rate_s * (s_behind * s_b_q - s_before * k)
-            - s / rho * resistance
-            - 2.0 * diffusion
+        blood, inverse = self.blood, area.T**-2.0
+        # Mean of 1/S_u² around each face, if linear between the points.
+        mean = 0.75 * inverse[1:-1] + (inverse[:-2] + inverse[2:]) / 8
+        first, last = (0.75 * v[:1] + v[1:2] / 4 for v in (inverse, inverse[::-1]))
+        mean = jnp.concatenate([first, mean, last])
+        friction = 2.0 * jnp.pi * blood.viscosity * (blood.profile_exponent + 2.0)
+        healthy = jnp.take_along_axis(area, narrowings.upstream, axis=1)
+        throat, length = healthy * (1.0 - narrowings.blockage), narrowings.length
+        if self.form.effective_length:
+            length = effective_length(length, throat)
+        viscous = viscous_drop(1.0, healthy, throat, length, blood.viscosity)
+        viscous *= (blood.profile_exponent + 2.0) / 4.0  # of the profile, as the wall friction
+        turbulent = turbulent_drop(1.0, healthy, throat, blood.density, blood.turbulent_coefficient)
+        spread_viscous, spread_turbulent = (
+            jnp.einsum("cs,csz->zc", drop, narrowings.spread) for drop in (viscous, turbulent)
         )
-        behind = -inert * m_b_next - stiff * p_b_next + rate_s * s_behind * s_b_next
-        return rate, before, own, behind + diffusion
+        spread_viscous += friction * mean * narrowings.friction.T
+        return spread_viscous, spread_turbulent
 
-    def _outlet(self, flow: Any, known_capacitor: Any) -> tuple[Any, Any, Any, Any]:
-        """Pressure and area at the outlet, each with its derivative by the outlet flow."""
-        proximal, distal, delay, _ = self.tube.outlet
-        pressure = self.outlet_pressure(flow, known_capacitor)
-        pressure_q = (proximal + self.own * distal / (delay + self.own))[:, None]
+    def _prepare_outlet(self, inputs: Inputs) -> None:
+        """Solve (E − own·A)·x = E·known + own·(B·Q + f) of a stage for the outlet's states x."""
+        circuit = self.form.outlet.circuit(inputs.outlet)
+        storage, exchange, drive = (
+            jnp.squeeze(jnp.array(values), -1)
+            for values in (circuit.storage, circuit.exchange, circuit.drive)
+        )
+        matrix = jax.vmap(jnp.diag, -1)(storage) - jnp.moveaxis(self.own * exchange, -1, 0)
+        inverse = jnp.moveaxis(jnp.linalg.inv(matrix), 0, -1)
+        self.resistance = circuit.resistance[:, 0]
+        self.retained = inverse * storage
+        self.gain = self.own * (inverse * drive).sum(axis=1)
+        steps = inputs.inlet.shape[1]
+        source = jnp.array([jnp.broadcast_to(f, (len(f), steps)) for f in circuit.source])
+        self.sources = self.own * jnp.einsum("ijc,jct->tic", inverse, source)
+
+    def end_pressure(self, stage: _Stage, flow: Any) -> tuple[Any, Any]:
+        """Pressure at the ends, and its derivative by the flow there."""
+        resistance = self.resistance + self.gain[0]
+        outlet = stage.outlet[0] + resistance * flow[-1]
+        inlet = stage.inlet if self.form.pressure_inlet else self.boundary.rest[0]
+        return jnp.stack([inlet, outlet]), jnp.stack([0.0 * resistance, resistance])
+
+    def area(self, stage: _Stage, flow: Any) -> Any:
+        """Area at all places, not positive where the wall collapsed."""
+        rate = -jnp.diff(flow, axis=0) / self.blood.dz
+        area = stage.known.area + self.own * rate
+        # The viscous stress at an end is that of its cell.
+        viscous = _ends(rate * self.cells.damping(area))
+        return _join(self.boundary.area(self.end_pressure(stage, flow)[0] - viscous), area)
+
+    def balance(self, stage: _Stage, flow: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """Residual of the momentum balance on the faces, or of the inlet, and its derivatives.
+
+        A flow also changes the areas of its two cells: the derivatives are by the flow on
+        the face before, on the face itself, and on the face behind.
+        """
+        blood = self.blood
+        # Area, pressure p and momentum m = Q²/S of all places.  In the cells the derivatives
+        # are by the flows that enter and leave; at the ends there is one flow.
         # Beyond the end of the wall law S < 0. Newton's method may pass there, not stay.
-        area = jnp.abs(self.wall.area(pressure, self.end))
-        return pressure, pressure_q, area, pressure_q / self.wall.pressure_slope(area, self.end)
+        s = jnp.abs(self.area(stage, flow))
+        center, s_c, s_e = 0.5 * (flow[:-1] + flow[1:]), s[1:-1], _ends(s)
+        rate, k = -jnp.diff(flow, axis=0) / blood.dz, self.own / blood.dz
+        damping = self.cells.damping(s_c)
+        m_c, p_c = center**2 / s_c, k * self.cells.slope(s_c) + damping / blood.dz
+        p_e, p_q = self.end_pressure(stage, flow)
+        q_e, s_q = _ends(flow), p_q / self.boundary.slope(s_e)
+        m_e = q_e**2 / s_e
+        p, m = _join(p_e, self.cells.pressure(s_c) + damping * rate), _join(m_e, m_c)
+        m_q = (2.0 * q_e - m_e * s_q) / s_e
+        m_enter, m_leave = (_join(m_q, (center + d) / s_c) for d in (-k * m_c, k * m_c))
+        p_enter, p_leave = (_join(p_q, d) for d in (p_c, -p_c))
+        s_enter, s_leave = (_join(s_q, jnp.full_like(s_c, d)) for d in (k, -k))
 
-    def unfold(self, stage: _Stage, q: Any) -> tuple[Any, Any]:
-        """Return flow on all faces and area in the cells, from the flow behind the inlet."""
-        flow = jnp.concatenate([stage.inflow[:, None], q], axis=1)
-        return flow, stage.known.area - self.outflow_share * jnp.diff(flow, axis=1)
+        on_face = _harmonic_mean(s[:-1], s[1:])
+        gradient, widening = jnp.diff(p, axis=0) / self.width, (self.faces / on_face) ** 2
+        loss = (self.viscous + self.turbulent * jnp.abs(flow)) * flow * widening
+        nu, inert = blood.viscosity / blood.density, blood.convection / self.width
+        # Diffusion along the vessel is neglected on the faces at the ends.
+        diffusion = jnp.full_like(self.width, nu / blood.dz**2).at[jnp.array([0, -1])].set(0.0)
+        change = diffusion * jnp.pad(jnp.diff(flow, 2, axis=0), ((1, 1), (0, 0)))
+        change -= inert * jnp.diff(m, axis=0)
+        change -= on_face / blood.density * (gradient + loss)
 
-    def stretch(self, stage: _Stage, q: Any) -> Any:
-        """S/S_u in the cells and at the outlet, not positive where the wall collapsed."""
-        flow, area = self.unfold(stage, q)
-        outlet = self.wall.area(self.outlet_pressure(flow, stage.known.capacitor), self.end)
-        return jnp.concatenate([area / self.tube.cells, outlet / self.end], axis=1)
+        by_area = 0.5 * on_face**2 * (loss - gradient) / blood.density
+        by_before, by_behind = by_area / s[:-1] ** 2, by_area / s[1:] ** 2
+        resistance = (self.viscous + 2.0 * self.turbulent * jnp.abs(flow)) * widening
+        stiff = on_face / (blood.density * self.width)
+        before = inert * m_enter[:-1] + stiff * p_enter[:-1] + by_before * s_enter[:-1]
+        own = inert * (m_leave[:-1] - m_enter[1:]) + stiff * (p_leave[:-1] - p_enter[1:])
+        own += by_before * s_leave[:-1] + by_behind * s_enter[1:]
+        own -= on_face / blood.density * resistance
+        behind = by_behind * s_leave[1:] - inert * m_leave[1:] - stiff * p_leave[1:]
+        bands = before + diffusion, own - 2.0 * diffusion, behind + diffusion
+        residual = flow - stage.known.flow - self.own * change
+        lower, main, upper = (-self.own * band for band in bands)
+        if not self.form.pressure_inlet:
+            residual = residual.at[0].set(flow[0] - stage.inlet)
+            main, upper = main.at[0].set(0.0), upper.at[0].set(0.0)
+        return residual, (lower, 1.0 + main, upper)
 
     def newton(self, stage: _Stage, carry: Any) -> Any:
         """Take a step of Newton's method; ``carry`` is flow, last update and iteration."""
-        q, _, iteration = carry
-        flow, area = self.unfold(stage, q)
-        rate, before, own, behind = self.balance(flow, area, stage.known.capacitor)
-        residual = q - stage.known.flow[:, 1:] - self.own * rate
-        update = tridiagonal_solve(
-            (-self.own * before).at[:, 0].set(0.0),
-            1.0 - self.own * own,
-            (-self.own * behind).at[:, -1].set(0.0),
-            -residual[:, :, None],
-        )[:, :, 0]
+        flow, _, iteration = carry
+        residual, bands = self.balance(stage, flow)
+        update = _tridiagonal_solve(jax.lax.stop_gradient(bands), -residual)
         # A case whose update is not finite stays where it was.
-        q = jnp.where(jnp.isfinite(update).all(axis=1, keepdims=True), q + update, q)
+        flow = jnp.where(jnp.isfinite(update).all(axis=0), flow + update, flow)
         # Relative to the case's own flow.
-        scale = jnp.abs(q).max(axis=1, keepdims=True) + 1e-3
-        return q, jnp.abs(update) / scale, iteration + 1
+        scale = jnp.abs(flow).max(axis=0) + 1e-3
+        return flow, jnp.abs(update) / scale, iteration + 1
 
-    def solve(self, stage: _Stage, guesses: Any) -> tuple[_Fields, Any, Any]:
-        """Solve a stage for the flows; the areas follow from them.
+    def solve(self, stage: _Stage, guesses: tuple[Any, Any]) -> tuple[Any, Any, Any]:
+        """Solve a stage for the flow on all faces.
 
-        Where Newton's method fails from one guess, it starts again from the next.
+        Where Newton's method fails from one guess, it starts again from the next.  The
+        derivatives are those of its last step, which are exact because the flow is nearly a root.
         Also returned: whether each case was solved, and the point where it was not.
         """
+        scheme, fixed = self.fixed, jax.lax.stop_gradient(stage)
 
-        def search(best: Any, guess: Any) -> Any:
-            q, _, solved = best
-            start = jnp.where(solved, q, guess)
-            update = jnp.where(solved, 0.0, jnp.full_like(q, jnp.inf))
-            newton = partial(self.newton, stage)
-            found, update, _ = jax.lax.while_loop(_unfinished, newton, (start, update, 0))
-            q = jnp.where(solved, q, found)
-            # NaN compares false, so that it counts as not solved.
-            small = (update <= _NEWTON_TOLERANCE).all(axis=1)
-            good = small & (self.stretch(stage, q) > 0.0).all(axis=1)
-            return (q, update, solved | good[:, None]), None
+        def attempt(carry: Any) -> Any:
+            flow, solved, number = carry
+            flow = jnp.where(solved, flow, jnp.where(number == 0, *guesses))
+            update = jnp.where(solved, 0.0, jnp.full_like(flow, jnp.inf))
+            newton = partial(scheme.newton, fixed)
+            flow, update, _ = jax.lax.while_loop(_unfinished, newton, (flow, update, 0))
+            positive = (scheme.area(fixed, flow) > 0.0).all(axis=0)
+            return flow, positive & ~_large(update), number + 1
 
-        start = guesses[0], guesses[0], jnp.zeros((len(guesses[0]), 1), bool)
-        (q, update, good), _ = jax.lax.scan(search, start, guesses)
-        flow, area = self.unfold(stage, q)
-        # The point where the wall collapsed, or else where the flow changes most.
-        ratio = self.stretch(stage, q)
-        collapsed = ~((ratio > 0.0).all(axis=1) & jnp.isfinite(update).all(axis=1))
-        place = jnp.where(collapsed, ratio.argmin(axis=1), update.argmax(axis=1))
-        found = _Fields(area, flow, self.capacitor(stage.known.capacitor, q[:, -1]))
-        return found, good[:, 0], place
+        def unsolved(carry: Any) -> Any:
+            return (carry[2] < len(guesses)) & ~carry[1].all()
 
-    def stage(self, start: _State, latest: tuple[_Fields, _Fields], inputs: Any) -> Any:
+        guesses = jax.lax.stop_gradient(guesses)
+        start = guesses[0], jnp.zeros(guesses[0].shape[1], bool), 0
+        flow, solved, _ = jax.lax.while_loop(unsolved, attempt, start)
+        flow, update, _ = self.newton(stage, (flow, 0.0, 0))
+        good = solved & ~_large(update)
+
+        def place() -> Any:
+            """Return the point where the wall collapsed, or where the flow changes most."""
+            ratio = scheme.area(fixed, flow) / scheme.undeformed
+            collapsed = ~(ratio > 0.0).all(axis=0) | ~jnp.isfinite(update).all(axis=0)
+            smallest = jnp.where(ratio[-1] > 0.0, ratio.argmin(axis=0), len(ratio))
+            smallest = jnp.minimum(smallest, len(flow) - 1)
+            return jnp.where(collapsed, smallest, update.argmax(axis=0))
+
+        nowhere = partial(jnp.full, good.shape, -1)
+        return flow, good, jax.lax.cond(good.all(), nowhere, place)
+
+    def stage(self, start: State, latest: tuple[Fields, Fields, Any], given: Any) -> Any:
         """Take an implicit stage from the start of the step and the latest stage."""
-        at_start, at_before, elapsed, q_in = inputs
-        before, slope = latest
+        at_start, at_before, elapsed, curved, inlet, source = given
+        before, slope, earlier = latest
         known = jax.tree.map(
             lambda y, k_start, k_before: y + at_start * k_start + at_before * k_before,
             start.now,
             start.slope,
             slope,
         )
-        # As if the tube were rigid, its whole flow follows the inlet's: a guess
-        # that holds for a sudden start, too.  In a soft tube the flow lags behind.
-        guess = before.flow + elapsed * slope.flow
-        guess = guess[:, 1:] + (q_in[:, None] - guess[:, :1])
-        guesses = jnp.stack([guess, before.flow[:, 1:]])
-        found, good, place = self.solve(_Stage(known, q_in), guesses)
-        slope = jax.tree.map(lambda y, y_known: (y - y_known) / self.own, found, known)
-        return (found, slope), (good, place, _net_inflow(found))
+        stage = _Stage(known, inlet, (self.retained * known.outlet).sum(axis=1) + source)
+        # Extrapolation from the latest two slopes.  As if the tube were rigid, its whole flow
+        # follows the inlet's: a guess that holds for a sudden start, too.
+        guess = before.flow + elapsed * slope.flow + curved * (slope.flow - earlier)
+        if not self.form.pressure_inlet:
+            guess += inlet - guess[0]
+        flow, good, place = self.solve(stage, (guess, before.flow))
+        area = known.area - self.own * jnp.diff(flow, axis=0) / self.blood.dz
+        found = Fields(area, flow, stage.outlet + self.gain * flow[-1])
+        latest_slope = jax.tree.map(lambda y, y_known: (y - y_known) / self.own, found, known)
+        return (found, latest_slope, slope.flow), (good, place, flow[0] - flow[-1])
 
-    def step(self, state: _State, inputs: Any) -> tuple[_State, None]:
-        """Take a time step; ``inputs`` are its number and the inlet flow at its stages."""
-        number, q_in = inputs
-        (now, slope), (good, places, net) = jax.lax.scan(
-            partial(self.stage, state), (state.now, state.slope), (*self.stages, q_in)
+    def step(self, state: State, given: Any) -> tuple[State, None]:
+        """Take a time step; ``given`` are its number, and inlet and outlet at its stages."""
+        number, (inlet, source) = given
+        latest = state.now, state.slope, state.inner
+        (now, slope, inner), (good, places, net) = jax.lax.scan(
+            partial(self.stage, state), latest, (*self.stages, inlet, source)
         )
-        inflow = state.inflow + self.weight * (_net_inflow(state.now) + net[0]) + self.own * net[1]
+        before = state.now.flow[0] - state.now.flow[-1]
+        inflow = state.inflow + self.weight * (before + net[0]) + self.own * net[1]
         place = jnp.where(good[0], places[1], places[0])
-        place = jnp.stack([jnp.full(len(place), number), place], axis=1)
-        first = ~good.all(axis=0) & (state.failed_at[:, 0] < 0)
-        failed_at = jnp.where(first[:, None], place, state.failed_at)
-        return _State(now, slope, inflow, failed_at), None
+        failed = state.failed_at[0] >= 0
+        here = jnp.where(good.all(axis=0), -1, jnp.stack([jnp.full_like(place, number), place]))
+        failed_at = jnp.where(failed, state.failed_at, here)
+        reached = State(now, slope, inner, inlet[1], inflow, failed_at)
+        retain = partial(jnp.where, failed_at[0] >= 0)
+        kept = state._replace(failed_at=failed_at)
+        return jax.lax.cond(
+            (failed_at[0] >= 0).any(),
+            lambda: jax.tree.map(retain, kept, reached),
+            lambda: reached,
+        ), None
 
-    def record(self, now: _Fields) -> tuple[Any, Any]:
-        """Return flow and pressure at the points (case, z)."""
-        outlet = now.capacitor + self.tube.outlet.proximal * now.flow[:, -1]
-        p = self.wall.pressure(now.area, self.tube.cells)
-        inner = 0.5 * (p[:, :-1] + p[:, 1:])
-        first = 1.5 * p[:, :1] - 0.5 * p[:, 1:2]
-        return now.flow, jnp.concatenate([first, inner, outlet[:, None]], axis=1)
+    def record(self, state: State) -> tuple[Any, Any, Any]:
+        """Return flow, area and pressure at the points (z, case)."""
+        now = state.now
+        outlet = now.outlet[0] + self.resistance * now.flow[-1]
+        viscous = _at_points(self.cells.damping(now.area) * state.slope.area)
+        elastic = _at_points(self.cells.pressure(now.area)).at[-1].set(outlet - viscous[-1])
+        if self.form.pressure_inlet:
+            elastic = elastic.at[0].set(state.inlet - viscous[0])
+        return now.flow, self.points.area(elastic), elastic + viscous
+
+
+def _large(update: Any) -> Any:
+    """Return whether the flow of each case is not nearly a root; NaN counts as large."""
+    return ~(update <= _NEWTON_TOLERANCE).all(axis=0)
 
 
 def _unfinished(carry: Any) -> Any:
     _, update, iteration = carry
-    return (iteration < _MAX_NEWTON) & jnp.any(update.max(axis=1) > _NEWTON_TOLERANCE)
+    return (iteration < _MAX_NEWTON) & jnp.any(update > _NEWTON_TOLERANCE)
 
 
-def _net_inflow(fields: _Fields) -> Any:
-    return fields.flow[:, 0] - fields.flow[:, -1]
+def _ends(values: Any) -> Any:
+    """Values at both ends, from those along the vessel."""
+    return values[:: len(values) - 1]
+
+
+def _join(ends: Any, cells: Any) -> Any:
+    """Values at all places, from those at the ends and in the cells."""
+    return jnp.concatenate([ends[:1], cells, ends[1:]])
+
+
+def _harmonic_mean(a: Any, b: Any) -> Any:
+    return 2.0 / (1.0 / a + 1.0 / b)
+
+
+def _at_points(p: Any) -> Any:
+    """Values at the points, from those in the cells."""
+    first, last = (1.5 * v[:1] - 0.5 * v[1:2] for v in (p, p[::-1]))
+    return jnp.concatenate([first, 0.5 * (p[:-1] + p[1:]), last])
+
+
+def _tridiagonal_solve(bands: tuple[Any, Any, Any], right: Any) -> Any:
+    """Solve tridiagonal systems along the first axis by Thomas's algorithm."""
+
+    def eliminate(above: Any, row: Any) -> Any:
+        lower, main, upper, value = row
+        factor = 1.0 / (main - lower * above[0])
+        above = upper * factor, (value - lower * above[1]) * factor
+        return above, above
+
+    def substitute(below: Any, row: Any) -> Any:
+        found = row[1] - row[0] * below
+        return found, found
+
+    zero = jnp.zeros_like(right[0])
+    _, rows = jax.lax.scan(eliminate, (zero, zero), (*bands, right))
+    return jax.lax.scan(substitute, zero, rows, reverse=True)[1]

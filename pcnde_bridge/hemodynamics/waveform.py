@@ -111,6 +111,20 @@ class Waveform(Displayed):
         angle = 2.0 * np.pi / self.period * time[..., None] * np.arange(1, self.n_terms + 1)
         return np.asarray(self.mean + np.cos(angle) @ self.cosine + np.sin(angle) @ self.sine)
 
+    def check_period(self, name: str, period: float) -> None:
+        """Raise if the period is not the one of the inlet of case 0, s.
+
+        Raises
+        ------
+        InputError
+            If it is another; the message calls the waveform by the name given.
+        """
+        if not math.isclose(self.period, period, rel_tol=1e-12):
+            raise InputError(
+                f"{name} has a period of {self.period:g} s, waveforms[0] of {period:g} s; "
+                "solve different periods in different batches."
+            )
+
     def samples(self, n_times: int = 100) -> Array:
         """Return the flow at n_times equal steps of a cycle from t = 0, mL/s, shape (n_times,)."""
         n_times = whole("n_times", n_times, 1)

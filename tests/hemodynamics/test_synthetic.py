@@ -147,7 +147,7 @@ def test_bad_arguments(arguments, message, tmp_path):
 
 def test_all_vessels_are_checked_before_computing(monkeypatch):
     monkeypatch.setattr(
-        "pcnde_bridge.hemodynamics.tr_bdf2.run", lambda *_: pytest.fail("it computed")
+        "pcnde_bridge.hemodynamics.tr_bdf2.start", lambda *_: pytest.fail("it computed")
     )
     message = r"area_undeformed of case 0 \(geometry 10, waveform 0\) changes 2\.95-fold"
     with pytest.raises(InputError, match=message):

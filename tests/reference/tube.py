@@ -117,7 +117,7 @@ def solve(wall, zeta, length_factors, outlet):
         bend = np.diff(flow, 2) / DZ**2
         q_t = -(1 + delta) * np.diff(momentum) / width
         q_t -= s / DENSITY * (np.diff(pressure) / width + loss)
-        q_t += NU * np.append(bend, bend[-1])
+        q_t += NU * np.append(bend, 0.0)  # neglected at the outlet
         p_t = (q[-1] - (capacitor - p_d) / r_d) / c if c else 0.0
         return np.concatenate([-np.diff(flow) / DZ, q_t, [p_t]])
 
