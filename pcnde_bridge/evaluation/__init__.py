@@ -14,10 +14,12 @@ from pcnde_bridge.evaluation.baselines import (
 from pcnde_bridge.evaluation.benchmark import bench_baseline, bench_model
 from pcnde_bridge.evaluation.cross_validation import cross_validate
 from pcnde_bridge.evaluation.learning_curve import learning_curve
+from pcnde_bridge.evaluation.parameter_fit import Calibration, calibrate
 from pcnde_bridge.evaluation.sensitivity import sobol_indices
 from pcnde_bridge.evaluation.sweep import sweep
 
 __all__ = [
+    "Calibration",
     "DropRegression",
     "ResponseSurface",
     "Solver1D",
@@ -25,6 +27,7 @@ __all__ = [
     "Unchanged",
     "bench_baseline",
     "bench_model",
+    "calibrate",
     "cross_validate",
     "learning_curve",
     "sobol_indices",

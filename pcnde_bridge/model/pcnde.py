@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import StrPath
+from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.validation import counted, whole
 from pcnde_bridge.config import (
     PUBLISHED_CODE,
+    ClosureConfig,
     Config,
     PCNDEConfig,
     config_from,
@@ -25,6 +26,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import Solution
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.kinds import AnyParameters, kind_of
@@ -192,6 +194,49 @@ class PCNDE(Predictor):
     def has_pressure(self) -> bool:
         """Whether the model predicts the pressure."""
         return self.parameters.has_pressure
+
+    def jax_function(
+        self, grid: Grid | None = None
+    ) -> tuple[Callable[..., Solution], dict[str, Array]]:
+        """Return the equations as a pure JAX function, and the trained parameters.
+
+        The function may be used under ``jit``, ``vmap`` and ``grad``.  It checks nothing and
+        needs ``jax_enable_x64``.
+
+        Parameters
+        ----------
+        grid : Grid, optional
+            Grid of inputs and results; by default that of the training cases.
+
+        Returns
+        -------
+        function : callable
+            ``function(parameters, inflow, area_undeformed)`` predicts one case: Q_in (time,),
+            mL/s, and S_u (z,), cm², give flow, area, pressure and wall shear stress, each
+            (time, z), in the units of :class:`~pcnde_bridge.engines.types.Solution`.
+        parameters : dict of str to array
+            Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`.
+
+        Raises
+        ------
+        InputError
+            If the model is not of the preset ``physics``.
+
+        Examples
+        --------
+        >>> function, parameters = model.jax_function()  # doctest: +SKIP
+        >>> jax.grad(lambda s: function(parameters, q, s).pressure[0, 0])(area)  # doctest: +SKIP
+        """
+        if not isinstance(self.config, ClosureConfig):
+            raise InputError("Only models of the preset 'physics' have a JAX function.")
+        settings, used = self.config, grid or self.grid
+
+        def function(parameters: Mapping[str, Any], inflow: Any, area_undeformed: Any) -> Solution:
+            from pcnde_bridge.engines.jax.closures.engine import solve_one
+
+            return solve_one(parameters, inflow, area_undeformed, used, settings)
+
+        return function, dict(self.parameters)
 
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, lru_cache, partial
 from typing import Any
@@ -255,6 +255,42 @@ def _vessels(
         return vessel_modes(wall, loss, shear, s, z, config.wall.law, config.physics)
 
     return jax.vmap(one)(area_undeformed)
+
+
+def solve_one(
+    parameters: Mapping[str, Any],
+    inflow: jax.Array,
+    area_undeformed: jax.Array,
+    grid: Grid,
+    config: ClosureConfig,
+) -> Solution:
+    """Predict a case by differentiable operations alone: all coupling passes are run.
+
+    Parameters
+    ----------
+    parameters : mapping of str to array
+        Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`.
+    inflow, area_undeformed : array of shape (time,) and (z,)
+        Q_in, mL/s, and S_u, cm².
+    grid : Grid
+        Grid of inputs and results.
+    config : ClosureConfig
+        Settings of the model.
+    """
+    outlet, wall, correction = (parameters[n] for n in ("outlet", "wall", "correction"))
+    loss, shear, z = parameters["losses"], parameters["wall_shear_stress"], jnp.asarray(grid.z)
+    law, physics = config.wall.law, config.physics
+    vessel, _ = vessel_modes(wall, loss, shear, area_undeformed, z, law, physics)
+    at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
+    case = jnp.zeros(()), inflow, *at_outlet, jnp.asarray(grid.period)
+    found = couple(outlet, wall, correction, *case, config.correction)
+    fields: tuple[Any, ...] = (
+        found.flow.T @ vessel.flow.at[3:].add(found.mean_pressure * vessel.flow_slope),
+        found.area.T @ vessel.area.at[3:].add(found.mean_pressure * vessel.area_slope),
+        found.area[1:].T @ vessel.pressure,
+        jnp.abs(found.area[3:].T @ vessel.shear),
+    )
+    return Solution(*fields)
 
 
 @partial(jax.jit, static_argnames=("function", "config"))
