@@ -13,11 +13,13 @@ from pcnde_bridge.io.datasets import download_published, find_published, load_ca
 from pcnde_bridge.io.hdf5 import read_hdf5
 from pcnde_bridge.io.simvascular import read_simvascular
 from pcnde_bridge.io.svonedsolver import read_sv1d
+from pcnde_bridge.io.svzerodsolver import ZeroDVessel, read_sv0d, write_sv0d
 from pcnde_bridge.io.tables import read_labels
 from pcnde_bridge.io.vessel_results import VesselResults
 
 __all__ = [
     "VesselResults",
+    "ZeroDVessel",
     "download_published",
     "find_published",
     "load_cases",
@@ -25,8 +27,10 @@ __all__ = [
     "read_hdf5",
     "read_labels",
     "read_simvascular",
+    "read_sv0d",
     "read_sv1d",
     "to_cases",
     "write_pvd",
+    "write_sv0d",
     "write_vtp",
 ]
