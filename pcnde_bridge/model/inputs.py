@@ -17,7 +17,6 @@ from pcnde_bridge._utils.validation import (
     check_finite,
     check_increasing,
     check_values,
-    finite_vector,
     positive,
     real_array,
 )
@@ -123,13 +122,16 @@ def inputs_from_arrays(
     given = stated_units(units), inflow, area_undeformed, z, period
     stated, inflow, area_undeformed, z, period = _from_objects(trained, any_grid, *given)
     factor = factors_to_cgs(stated)
-    inflow = np.atleast_2d(real_array("inflow", inflow))
-    area_undeformed = np.atleast_2d(real_array("area_undeformed", area_undeformed))
-    if period is None and (any_grid or inflow.shape[-1] == trained.time.size + 1):
+    inflow, area_undeformed = (
+        real_array("inflow", inflow),
+        real_array("area_undeformed", area_undeformed),
+    )
+    n_times = inflow.shape[-1] if inflow.ndim else 0
+    if period is None and n_times > 1 and (any_grid or n_times == trained.time.size + 1):
         _check_open(inflow)
     grid = trained
     if any_grid:
-        grid = _grid(trained, inflow.shape[-1], z, period, factor)
+        grid = _grid(trained, n_times, z, period, factor)
     elif z is not None or period is not None:
         raise InputError(
             "This model predicts only at the points and the period of its training: leave out "
@@ -197,7 +199,7 @@ def _grid(
     """Return the grid of a prediction that may differ from that of the training."""
     points: Array = trained.z
     if z is not None:
-        points = factor["z"] * finite_vector("z", z)
+        points = factor["z"] * _rows("z", real_array("z", z), np.size(z), "points")[0]
         check_increasing("z", points, "cm")
     check_resolution(n_times, points.size)
     cycle = trained.period if period is None else factor["time"] * positive("period", period)
@@ -256,12 +258,13 @@ def _check_open(inflow: Array) -> None:
 
 
 def _rows(name: str, array: Array, length: int, noun: str) -> Array:
-    """Check that values have the shape (case, length) and are finite."""
+    """Return (case, length) or (length,) values in the shape (case, length)."""
+    given, array = array.shape, np.atleast_2d(array)
     if array.ndim != 2 or array.shape[1] != length or array.shape[0] == 0:
         hint = " It looks transposed." if array.ndim == 2 and array.shape[0] == length else ""
         raise InputError(
             f"{name} must have the shape (case, {length}), {length} {noun} as in the training "
-            f"data, got {array.shape}.{hint}"
+            f"data, got {given}.{hint}"
         )
     check_finite(name, array)
     return array
