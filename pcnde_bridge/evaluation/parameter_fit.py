@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.optimize import least_squares
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.jax_context import double_precision
@@ -53,7 +52,7 @@ class Calibration:
         """
         if not 0.0 < level < 1.0:
             raise InputError(f"level must be between 0 and 1, got {level!r}.")
-        half = norm.ppf((1.0 + level) / 2.0) * np.sqrt(np.diag(self.covariance))
+        half = ndtri((1.0 + level) / 2.0) * np.sqrt(np.diag(self.covariance))
         bounds = {"low": np.exp(-half), "high": np.exp(half)}
         found = pd.DataFrame(bounds, index=list(self.values))
         return found.mul(pd.Series(self.values), axis=0)
@@ -108,6 +107,8 @@ def calibrate(
     >>> round(found.values["tau"], 6)
     0.5
     """
+    from scipy.optimize import least_squares
+
     names = tuple(start)
     first = np.array([positive(f"start[{name!r}]", start[name]) for name in names])
     prior = dict(priors or {})
