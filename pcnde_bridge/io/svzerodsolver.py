@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.files import read_json, reading, write_json
@@ -73,6 +72,8 @@ class ZeroDVessel:
         cls, vessel: Vessel, waveform: Waveform, outlet: Outlet, tube: Tube1D, inlet: Inlet = "flow"
     ) -> ZeroDVessel:
         """Return the elements of an idealized vessel with the solver's blood and wall."""
+        from scipy.integrate import trapezoid
+
         z = vessel.grid(1001)
         area = vessel.area_undeformed(z)
         loss = sum((1.0 / (1.0 - s.blockage) - 1.0) ** 2 for s in vessel.stenoses)
