@@ -137,8 +137,7 @@ def double_precision() -> Iterator[None]:
     if _forked:
         raise EngineError(
             "JAX does not survive a fork: start worker processes with the 'spawn' method "
-            '(multiprocessing.get_context("spawn")), or use '
-            "pcnde_bridge._utils.parallel.processes."
+            '(multiprocessing.get_context("spawn")), or pass executor=2 to functions of many fits.'
         )
     _start()
     import jax

@@ -2,9 +2,7 @@
 
 :func:`run` accepts any :class:`concurrent.futures.Executor`.  On one machine::
 
-    from pcnde_bridge._utils.parallel import processes
-
-    ensemble = Ensemble.fit(cases, executor=processes(4))
+    ensemble = Ensemble.fit(cases, executor=4)  # processes
 
 On a cluster, with ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue``), here with
 20 jobs of SLURM, one core each; a job that ends early is replaced::
@@ -60,8 +58,8 @@ class _Processes(NamedTuple):
     pool: Callable[[], Any]
 
 
-Workers = Executor | _Processes
-"""An executor, or the processes of :func:`processes`."""
+Workers = Executor | _Processes | int
+"""An executor, a number of processes on this machine, or the result of :func:`processes`."""
 
 
 class RunOptions(TypedDict, total=False):
@@ -75,7 +73,7 @@ class RunOptions(TypedDict, total=False):
 
 _NAME = re.compile(r"\w[\w .,=+-]{0,199}")  # also usable as the name of a file
 _DIED = "its worker process died"
-_BROKEN = "a worker process died, and its pool with it; pass processes(2), which replaces it"
+_BROKEN = "a worker process died, and its pool with it; pass executor=2, which replaces it"
 
 _log = logging.getLogger("pcnde_bridge")
 
@@ -166,9 +164,10 @@ def run(
     tasks : mapping
         Tasks by name, for messages and files: up to 200 letters, digits, spaces and
         ``._,=+-``.
-    executor : Executor, or the result of :func:`processes`, optional
-        None runs the tasks one after the other in this process.  Prefer :func:`processes` to
-        a pool: a pool is unusable after one of its processes died.
+    executor : Executor, int, or the result of :func:`processes`, optional
+        A number is that of :func:`processes` on this machine.  None runs the tasks one after
+        the other in this process.  Prefer a number to a pool: a pool is unusable after one of
+        its processes died.
     retries : int
         Number of times that a failed task is repeated.  Errors of this package are
         reported at once, because they would occur again.
@@ -208,6 +207,7 @@ def run(
             raise InputError(
                 f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
             )
+    executor = processes(executor) if isinstance(executor, int) else executor
     stored = None if folder is None else ResultFolder(folder, facts or {})
     found = {name: None if stored is None else stored.read(name) for name in tasks}
     results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
@@ -264,7 +264,10 @@ def _words(error: BaseException) -> str:
 
 
 def _finished(
-    function: Callable[[Any], Any], tasks: Mapping[str, Any], executor: Workers | None, retries: int
+    function: Callable[[Any], Any],
+    tasks: Mapping[str, Any],
+    executor: Executor | _Processes | None,
+    retries: int,
 ) -> Generator[tuple[str, Any, str | None], None, None]:
     """Yield name, result and reason of failure of each task when they are known."""
     create = executor.pool if isinstance(executor, _Processes) else None
@@ -300,7 +303,7 @@ def _finished(
                 pool.shutdown(kill_workers=True)
 
 
-def _pools(executor: Workers | None, most: int) -> list[Executor | None]:
+def _pools(executor: Executor | _Processes | None, most: int) -> list[Executor | None]:
     """Return one entry for each task that may run at the same time: its pool, or None."""
     if isinstance(executor, _Processes):
         return [executor.pool() for _ in range(min(executor.workers, most))]

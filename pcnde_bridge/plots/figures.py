@@ -65,7 +65,7 @@ class FigureData:
     other : Baseline or None
         Another method for comparison; by default the 1D solver with the wall of the
         paper's "1D FEM".
-    executor : Executor, or callable that creates one, or None
+    executor : Executor, int or None
         Executor for the tasks of studies.
     """
 

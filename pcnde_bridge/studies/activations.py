@@ -56,9 +56,9 @@ def activation_study(
     seeds : sequence of int
         Random seeds for the initial weights of the pressure network; each activation
         function is fitted with each seed.
-    executor : Executor, or callable that creates one, optional
-        Executor of the fits; by default they run in this process.  Results are equal bit
-        for bit if XLA has as many threads, see :mod:`pcnde_bridge._utils.parallel`.
+    executor : Executor or int, optional
+        Executor, or number of processes, of the fits; by default they run in this process.
+        Results are equal bit for bit if XLA has as many threads.
     progress : bool
         Show progress on standard error.
 

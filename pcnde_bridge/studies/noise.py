@@ -108,10 +108,9 @@ def noise_study(
         Number of noisy inputs, at least 2.
     seed : int
         Random seed for the noise.
-    executor : Executor, or callable that creates one, optional
-        Executor of the predictions; by default they run in this process.  Results are
-        equal bit for bit if XLA has as many threads, see
-        :mod:`pcnde_bridge._utils.parallel`.
+    executor : Executor or int, optional
+        Executor, or number of processes, of the predictions; by default they run in this
+        process.  Results are equal bit for bit if XLA has as many threads.
 
     Returns
     -------

@@ -64,7 +64,7 @@ def test_any_executor_gives_the_same(serial, pool):
     with ThreadPoolExecutor(3) as threads:
         assert same(run(work, SEEDS, executor=threads, progress=False).check(), serial)
     assert same(run(work, SEEDS, executor=pool, progress=False).check(), serial)
-    assert same(run(work, SEEDS, executor=processes(2), progress=False).check(), serial)
+    assert same(run(work, SEEDS, executor=2, progress=False).check(), serial)
 
 
 def test_no_tasks():
@@ -74,7 +74,7 @@ def test_no_tasks():
 def test_processes_have_one_thread_of_xla(monkeypatch):
     monkeypatch.delenv("NPROC", raising=False)
     tasks = {"a": 0}
-    assert run(nproc, tasks, executor=processes(1), progress=False).results == {"a": "1"}
+    assert run(nproc, tasks, executor=1, progress=False).results == {"a": "1"}
     assert "NPROC" not in os.environ
     with pytest.raises(InputError, match="workers must be a whole number"):
         processes(0)
@@ -121,7 +121,7 @@ def test_a_pool_that_cannot_be_replaced_reports_the_rest(tmp_path):
         outcome = run(kill_once, tasks, executor=pool, progress=False)
         assert outcome.results == {}
         assert list(outcome.failures) == list(tasks)
-        assert "pass processes(2), which replaces it" in outcome.failures["t2"]
+        assert "pass executor=2, which replaces it" in outcome.failures["t2"]
         again = run(kill_once, {"t": (None, False)}, executor=pool, progress=False)
         assert list(again.failures) == ["t"]
 
