@@ -7,6 +7,7 @@ with code 2; and nothing may be written or overwritten.
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import re
@@ -28,13 +29,14 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLPolyDataWriter
 
 from pcnde_bridge import (
     PCNDE,
+    Cases,
     DataNotFoundError,
     FileError,
     InputError,
     PCNDEConfig,
     PCNDEError,
 )
-from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.archive import read_archive, sha256_arrays, write_archive
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.io import (
@@ -735,3 +737,43 @@ def test_fuzz(kind, good, readers, tmp_path_factory, small_cases, small_config, 
         assert str(error)
     finally:
         file.write_bytes(source.read_bytes())
+
+
+def as_read(found):
+    """All that a reader returned, in a form that compares every number and text."""
+    if isinstance(found, Cases):
+        return found.fingerprint(), found.period
+    facts, arrays = found if isinstance(found, tuple) else found.to_archive()
+    return json.dumps(facts, sort_keys=True), sha256_arrays(dict(sorted(arrays.items())))
+
+
+@pytest.mark.parametrize("kind", ["cases.npz", "cases.h5", "model", "checkpoint", "vtp", "csv.gz"])
+@pytest.mark.parametrize("count", [100, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore")
+def test_every_single_change_is_noticed(kind, count, good, readers, tmp_path):
+    """Of files that this package wrote, or that have checksums, one byte is another one."""
+    read, path = readers[kind if kind != "csv.gz" else "csv"].api, tmp_path / "file"
+    if kind == "csv.gz":
+        path = tmp_path / "tidy.csv.gz"
+        path.write_bytes(gzip.compress((good / "tidy.csv").read_bytes(), mtime=0))
+    else:
+        path = tmp_path / readers[kind].file
+        shutil.copy(good / readers[kind].file, path)
+    if kind == "checkpoint":  # without training
+        read = partial(read_archive, kind="pcnde-checkpoint", version=99, what="checkpoint")
+    whole, rng = path.read_bytes(), np.random.default_rng(count)
+    expected, noticed = as_read(read(path)), 0
+    for place in rng.integers(0, len(whole), size=count):
+        other = bytes([whole[place] ^ int(rng.integers(1, 256))])
+        path.write_bytes(whole[:place] + other + whole[place + 1 :])
+        try:
+            found = read(path)
+        except PCNDEError:
+            noticed += 1
+        else:
+            assert as_read(found) == expected, (
+                place,
+                whole[max(0, place - 40) : place + 40],
+                other,
+            )
+    assert noticed > count / 2

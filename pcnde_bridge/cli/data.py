@@ -34,7 +34,7 @@ def simulate(
 def convert(
     files: list[Path] = typer.Argument(
         metavar="FILE...",
-        help="simvascular: .vtp centerlines with averaged results. sv1d: input files of "
+        help="simvascular: .vtp or .pvd centerlines, averaged results. sv1d: input files of "
         "svOneDSolver (.in), results beside them. csv: tidy tables. hdf5: data sets by name.",
     ),
     source: FileFormat = option(..., "Program or format of the files.", "--from"),
@@ -90,7 +90,7 @@ def design(
     inflow: Path = option(..., "Table: time (s), then one column of Q (mL/s) per inflow."),
     area: Path = option(..., "Table: z (cm), then one column of S_u (cm²) per vessel."),
     out: Path = option(..., "Folder for the list and the input of the simulations."),
-    count: int = option(6, "Number of simulations to choose.", min=1),
+    count: int | None = option(None, "Number of simulations; by default 6, or all left.", min=1),
     done: Path | None = option(
         None, "Data set of finished simulations, with the labels of this command."
     ),
@@ -113,6 +113,7 @@ def design(
     finished = None if done is None else load_cases(str(done))
     pairs = [] if finished is None else case_keys(finished.labels)
     positions = pair_positions(labels, pairs, str(done)).tolist() if pairs else []
+    count = count or max(1, min(6, len(labels) - len(positions)))
     chosen = designs.choose(candidates, count, done=positions)
     designs.write_inputs(out, candidates, labels, chosen)
     for case, reason in zip(chosen["case"], chosen["reason"], strict=True):

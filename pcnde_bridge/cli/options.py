@@ -51,6 +51,16 @@ WORKERS = option(1, "Number of parallel processes.", min=1)
 JSON = option(None, "Also write the results to this JSON file.", "--json")
 
 
+def table_file(path: Path | None) -> Path | None:
+    """Return the name of a table to write, after checking its ending."""
+    if path is not None and not path.name.lower().endswith((".csv", ".csv.gz")):
+        raise InputError(f"{path} will be a table: its name must end in .csv or .csv.gz.")
+    return path
+
+
+CSV = option(None, "Also write the table to this CSV file.", "--csv", callback=table_file)
+
+
 def settings_of(preset: str, path: Path | None) -> Config:
     """Return the settings of ``--preset`` with the changes of ``--config``."""
     settings = resolve_config(preset)
@@ -61,7 +71,7 @@ def split_name(data: str, split: str | None) -> str:
     """Return ``--split``: by default, only data sets with a split of their own are divided."""
     from pcnde_bridge.io.datasets import DATASETS
 
-    return split or ("paper" if data in DATASETS else "none")
+    return split if split is not None else "paper" if data in DATASETS else "none"
 
 
 def split_of(cases: Cases, data: str, split: str | None, whole: str = "train") -> dict[str, Cases]:
@@ -82,9 +92,13 @@ def _divided(cases: Cases, split: str) -> Split:
     """Divide the cases by a fraction, by ``label=value,…``, or as :meth:`Cases.split` does."""
     from pandas.api.types import is_numeric_dtype
 
+    from pcnde_bridge.data.selection import label_values
+
     name, equals, text = split.partition("=")
-    if equals and name in cases.labels:
-        convert = _number if is_numeric_dtype(cases.labels[name]) else str
+    if not split:
+        raise InputError("--split is empty: leave it out, or give 'none'.")
+    if equals and not Path(split).exists():
+        convert = _number if is_numeric_dtype(label_values(cases.labels, name)) else str
         wanted: dict[str, Any] = {name: [convert(value) for value in text.split(",")]}
         return cases.split(**wanted)
     return cases.split(_number(split))

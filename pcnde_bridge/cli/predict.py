@@ -46,11 +46,13 @@ def evaluate(
     split: str | None = options.SPLIT,
     engine: EngineName = options.ENGINE,
     json_file: Path | None = options.JSON,
-    csv: Path | None = option(None, "Also write the errors of every case."),
+    csv: Path | None = options.CSV,
 ) -> None:
     """Print relative errors of a model on a data set."""
     import pandas as pd
 
+    from pcnde_bridge._utils.validation import counted
+    from pcnde_bridge.data.selection import case_keys
     from pcnde_bridge.io.datasets import load_cases
     from pcnde_bridge.model.ensemble import load_model
     from pcnde_bridge.model.metrics import pooled
@@ -58,6 +60,12 @@ def evaluate(
     check_outputs(json_file, csv, inputs=[model, Path(data)])
     fitted = load_model(model, engine)
     sets = split_of(load_cases(data), data, split, whole="all")
+    known = {tuple(key) for key in fitted.provenance.get("cases_labels", ())}
+    if seen := known.intersection(case_keys(sets["test"].labels) if "test" in sets else ()):
+        note(
+            f"{counted(len(seen), 'test case')} may not be new to the model: it was trained on "
+            "cases with the same geometry and waveform (pcnde info)."
+        )
     tables = {name: fitted.evaluate(cases) for name, cases in sets.items()}
     errors = {name: pooled(table) for name, table in tables.items()}
     if json_file is not None:
@@ -90,6 +98,7 @@ def predict(
         None,
         "Also write pressure drop, FFR, resistance and other indices of each case to this "
         ".csv, with 90 % intervals where there are samples.",
+        callback=options.table_file,
     ),
 ) -> None:
     """Predict flow, area and pressure of new cases.

@@ -92,7 +92,7 @@ def cross_validate(
     seed: int = options.SEED,
     workers: int = options.WORKERS,
     folder: Path | None = option(None, "Folder of finished fits, to resume an interrupted run."),
-    csv: Path | None = option(None, "Also write the table to this CSV file."),
+    csv: Path | None = options.CSV,
 ) -> None:
     """Leave out each waveform and geometry, and print errors.
 

@@ -77,8 +77,9 @@ class Cases(VesselQuantities):
     ------
     InputError
         If an argument is not usable; the message names the field and the index.  Also if
-        the values are implausible for arteries of 0.8 mm to 5 cm in CGS units, or if the
-        cycle mean of a flow is negative or changes along the vessel by more than 4 %.
+        the values are implausible for arteries of 0.8 mm to 5 cm in CGS units, if the cycle
+        mean of a flow is negative or changes along the vessel by more than 4 %, if most of a
+        wall shear stress is negative, or if one time point does not fit the others.
 
     Warns
     -----

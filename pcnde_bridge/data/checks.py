@@ -19,7 +19,7 @@ from pcnde_bridge._utils.validation import (
     naming,
     real_array,
 )
-from pcnde_bridge.data.plausibility import CONVERT, check_flow, check_units, sizes_of
+from pcnde_bridge.data.plausibility import CONVERT, check_units, check_vessel, sizes_of
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -113,21 +113,25 @@ def check_plausible(arrays: Mapping[str, Array], *, strict: bool) -> None:
     arrays : mapping of str to array
         Checked arrays of a data set.
     strict : bool
-        If False, warn of magnitudes, and accept any flow.
+        If False, warn of magnitudes, and accept any flow and any sample.
 
     Raises
     ------
     InputError
-        If magnitudes, or the flow along a vessel, are implausible; see
+        If magnitudes, the flow along a vessel or a sample are implausible; see
         :mod:`pcnde_bridge.data.plausibility`.
     """
+    z, time, flip = arrays["z"], arrays["time"], "Pass flow=-flow, or reverse the points."
+    for case in range(len(arrays["flow"]) if strict else 0):
+        with naming(f"case {case}"):
+            variables = {name: arrays[name][case] for name in FIELDS if name in arrays}
+            check_vessel(variables, z, time, flip)
+    sizes = sizes_of(**arrays)
+    if not strict:
+        del sizes["balance"]
     try:
-        check_units(sizes_of(**arrays), (), CONVERT)
+        check_units(sizes, (), CONVERT)
     except InputError as error:
         if strict:
             raise
         warnings.warn(str(error), UnitsWarning, stacklevel=3)
-    if strict:
-        for case, (flow, area) in enumerate(zip(arrays["flow"], arrays["area"], strict=True)):
-            with naming(f"case {case}"):
-                check_flow(flow, area, arrays["z"], "Pass flow=-flow, or reverse the points.")

@@ -178,6 +178,21 @@ def one_minus_ffr(pressure: Array, z: Array, proximal: Array, distal: Array) -> 
     return np.asarray(mean_drop / values_at(pressure, z, proximal).mean(axis=1))
 
 
+def with_columns(labels: pd.DataFrame, columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Return a table of labels with further columns.
+
+    Raises
+    ------
+    InputError
+        If a label has the name of a column.
+    """
+    if taken := [name for name in columns if name in labels]:
+        raise InputError(
+            f"the label {taken[0]!r} has the name of a column of this table: rename the label."
+        )
+    return labels.assign(**columns)
+
+
 class VesselQuantities(Displayed):
     """Quantities that follow from flow, area and pressure along vessels.
 
@@ -227,7 +242,7 @@ class VesselQuantities(Displayed):
         columns = {**axes, **variables, "area_undeformed": self.area_undeformed[:, None]}
         flat = {name: np.broadcast_to(values, shape).ravel() for name, values in columns.items()}
         labels = self.labels.iloc[np.repeat(np.arange(shape[0]), n_times * n_points)]
-        return labels.reset_index(drop=True).assign(**flat)
+        return with_columns(labels.reset_index(drop=True), flat)
 
     def pressure_drop(
         self, proximal: Position = None, distal: Position = None, units: str = "dyn/cm^2"
@@ -428,9 +443,9 @@ class VesselQuantities(Displayed):
         _, ratios = throats(self.z, self.area_undeformed)
         found = np.where(ratios <= NO_STENOSIS, "stenosis", "whole vessel")
         given = proximal is not None or distal is not None
-        frame["positions"] = "given" if given else found
-        frame["proximal"], frame["distal"] = upstream, downstream
-        return frame.assign(**self._index_values(upstream, downstream))
+        columns = {"positions": "given" if given else found}
+        columns |= {"proximal": upstream, "distal": downstream}
+        return with_columns(frame, columns | self._index_values(upstream, downstream))
 
     def _index_values(self, proximal: Array, distal: Array) -> dict[str, Array]:
         """Return the columns of :meth:`indices` that depend on the samples, each (case,)."""

@@ -53,11 +53,14 @@ _RANGES = (
     _Range("the Reynolds number", "", 4, 6000, {"flow": 1, "area": -0.5}, 1 / (_ROOT * _VISCOSITY)),
     _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, _SHEAR, 1 / (0.32 * _ROOT)),
     _Range("the length over the diameter", "", 2.5, 100, {"z": 1, "area": -0.5}, _ROOT),
-    _Range("inflow less outflow, over the growth of the volume,", "", 0.4, 4, _BALANCE),
+    _Range("inflow less outflow, over the growth of the volume,", "", 0.3, 2.8, _BALANCE),
 )
+_LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
+_GAP = 3.0  # times the largest step of a waveform, between its end and its start
+_RESOLVED = 16  # time points that show the shape of a waveform
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
 _TRANSPOSED = (
-    "The arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
+    "the arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
     "np.swapaxes(array, -1, -2)."
 )
 
@@ -183,7 +186,8 @@ def check_units(
     advice : Advice
         Advice for the message.
     unique : bool
-        Raise also if the numbers are usual in other units as well.
+        Raise also if the numbers are usual in other units as well, but not if a volume balance
+        is wrong in all units: :func:`check_vessel` may explain it.
 
     Raises
     ------
@@ -211,12 +215,12 @@ def check_units(
             "the units are ambiguous: the numbers are usual in CGS units, and with "
             f"{_listed(others)}. State the units (--units); if they are CGS, {advice.confirm}."
         )
-    # A volume balance that is wrong in all units does not depend on them: check_flow checks it.
     doubts = [
         f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
         f"{usual.low:g} to {usual.high:g}"
         for usual, low, high in measured
-        if not usual.holds(low, high, {}) and (others or "balance" not in usual.powers)
+        if not usual.holds(low, high, {})
+        and (others or not unique or "balance" not in usual.powers)
     ]
     if not doubts:
         return
@@ -276,6 +280,90 @@ def _is_constant(flow: Array) -> bool:
     return bool(np.ptp(flow) <= _DRIFT * np.abs(flow).mean())
 
 
+def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: str) -> None:
+    """Raise if results are not those of one vessel, or a time point is damaged.
+
+    Parameters
+    ----------
+    variables : mapping of str to array of shape (time, z)
+        Flow (mL/s), area (cm²) and others of one vessel over one cycle.
+    z, time : array
+        Points, cm, and time points, s.
+    flip : str
+        Advice for a flow that runs against z.
+
+    Raises
+    ------
+    InputError
+        See :func:`check_flow` and :func:`check_samples`; also if most of the wall shear
+        stress points against the flow.
+    """
+    check_axes(variables["flow"])
+    for name, values in variables.items():
+        check_samples(name, values, time)
+    check_flow(variables["flow"], variables["area"], z, flip)
+    stress = variables.get("wall_shear_stress", np.ones((1, 1)))
+    if (usual := np.median(stress.mean(axis=0))) < 0:
+        raise InputError(
+            f"the wall shear stress points against the flow, its mean is {usual:.4g} dyn/cm² in "
+            "the middle of its range: change its sign, or give its magnitude."
+        )
+
+
+def check_samples(name: str, values: Array, time: Array, column: str = "point") -> None:
+    """Raise if signals are not one cycle, or one time point does not belong to those around it.
+
+    A time point is compared with the cubic through the two on either side; without it, all
+    others must be much nearer to theirs.  Time points in unequal steps are not compared.
+
+    Parameters
+    ----------
+    name : str
+        Name of the signals, for the message.
+    values : array of shape (time, column)
+        Periodic signals.
+    time : array of shape (time,)
+        Time points, s, without the end of the cycle.
+    column : str
+        Name of the second axis, for the message.
+
+    Raises
+    ------
+    InputError
+        If there is a gap between the end and the start, or a time point is damaged.
+    """
+    if len(time) < _RESOLVED or np.ptp(np.diff(time)) > 1e-3 * (time[1] - time[0]):
+        return
+    floor = 1e-4 * np.abs(values).max(axis=0)
+    gap, steps = np.abs(values[0] - values[-1]), np.abs(np.diff(values, axis=0)).max(axis=0)
+    if gap[at := int((gap - _GAP * steps - floor).argmax())] > _GAP * steps[at] + floor[at]:
+        raise InputError(
+            f"it is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
+            f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
+            "or pass the period (--period)."
+        )
+
+    def deviation(of: Array) -> Array:
+        before, after = (np.roll(of, n, axis=0) for n in (1, -1))
+        beyond = np.roll(of, 2, axis=0) + np.roll(of, -2, axis=0)
+        return np.asarray(of - (4 * (before + after) - beyond) / 6)
+
+    off = deviation(values)
+    worst, columns = np.abs(off).argmax(axis=0), np.arange(values.shape[1])
+    size = np.abs(off[worst, columns])
+    columns = columns[size > np.maximum(0.02 * np.ptp(values, axis=0), floor)]
+    repaired = values.copy()
+    repaired[worst[columns], columns] -= off[worst[columns], columns]
+    lone = size[columns] > _LONE * np.abs(deviation(repaired[:, columns])).max(axis=0)
+    for at in columns[lone]:
+        row = worst[at]
+        raise InputError(
+            f"{name} is {values[row, at]:.4g} at {time[row]:g} s (time point {row}, {column} {at}),"
+            f" and the time points around it give {repaired[row, at]:.4g}: a single sample is "
+            "damaged. Correct it, or interpolate it."
+        )
+
+
 def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
     """Raise if the mean flow runs against z, or is not the same all along the vessel.
 
@@ -310,7 +398,6 @@ def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
         ),
         ((flow * area).mean(axis=0), "Probably these are velocities: flow × area is constant."),
         (mean[1:-1], "Probably it differs at the ends alone: leave out the end points."),
-        (flow.mean(axis=1) if flow.shape[0] == flow.shape[1] else mean, _TRANSPOSED),
         (np.zeros(1), "Leave out branches, or give the part of one vessel without them."),
     )
     advice = next(text for values, text in candidates if _is_constant(values))
@@ -319,3 +406,10 @@ def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
         f"but {mean[worst]:.4g} mL/s at z = {z[worst]:.4g} cm (point {worst}); at most "
         f"{_DRIFT:.0%} is what averaging leaves. {advice}"
     )
+
+
+def check_axes(flow: Array) -> None:
+    """Raise if a square array of the flow is (z, time) in place of (time, z)."""
+    square = flow.shape[0] == flow.shape[1]
+    if square and _is_constant(flow.mean(axis=1)) and not _is_constant(flow.mean(axis=0)):
+        raise InputError(_TRANSPOSED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -87,7 +87,8 @@ def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
     mask = np.ones(len(labels), dtype=bool)
     for column, value in wanted.items():
         given = label_values(labels, column)
-        values = [value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+        many = isinstance(value, Sequence | np.ndarray | pd.Series) and not isinstance(value, str)
+        values = list(value) if many else [value]
         hits = [_matches(given, each) for each in values]
         absent = [each for each, hit in zip(values, hits, strict=True) if not hit.any()]
         if absent:
@@ -99,7 +100,7 @@ def _with_labels(labels: pd.DataFrame, wanted: Mapping[str, Any]) -> Positions:
 
 def label_values(labels: pd.DataFrame, column: str) -> pd.Series[Any]:
     """Return a column of the labels, or raise if there is none of this name."""
-    if column not in labels:
+    if column not in list(labels.columns):
         known = ", ".join(map(repr, labels.columns))
         raise InputError(f"there is no label {column!r}; the labels are {known}")
     return labels[column]
@@ -109,6 +110,8 @@ def _matches(column: pd.Series[Any], value: Any) -> npt.NDArray[np.bool_]:
     """Mark equal labels; fractions within round-off, so that 0.55 finds 0.55."""
     if column.dtype.kind == "f" and isinstance(value, Real):
         return np.asarray(np.isclose(column, float(value), atol=1e-12, equal_nan=True))
+    if not np.isscalar(value):
+        return np.zeros(len(column), dtype=bool)
     return np.asarray(column == value)
 
 
@@ -123,7 +126,9 @@ def pair_positions(labels: pd.DataFrame, pairs: Any, where: str) -> Positions:
             raise InputError(f"{where}, entry {i}, is {pair!r}; write {what}")
     known, keys = case_keys(labels), [(int(one), int(other)) for one, other in pairs]
     if absent := [key for key in keys if key not in known]:
-        what = f"(geometry, waveform) = {listed(absent)}; see cases.labels"
+        what = (
+            f"(geometry, waveform) = {listed(absent)}; see cases.labels, or labels.csv of a design"
+        )
         raise InputError(f"{where} asks for cases that are not in this data set: {what}")
     return _each_once(np.array([known.index(key) for key in keys]), where)
 

@@ -99,7 +99,8 @@ def choose(
     -------
     DataFrame
         A row for each simulation: ``case``, its position; its quantities (see
-        :func:`~pcnde_bridge.uncertainty.novelty.describe`) that differ between candidates;
+        :func:`~pcnde_bridge.uncertainty.novelty.describe`) that differ between candidates,
+        with ``blockage`` and ``widening`` as fractions of the area;
         ``reason``; ``uncovered``, the largest distance from a case of ``use`` to its nearest
         simulation, each quantity scaled by its range; and ``farthest``, the position of that case.
 
@@ -134,7 +135,8 @@ def choose(
 def _scaled(candidates: ModelInputs, use: ModelInputs) -> tuple[list[str], Array, Array, Array]:
     """Return names and values of the quantities that differ, and both sets scaled by range.
 
-    The ranges are those of the novelty, which are not narrower than a share of the quantity.
+    Among the values, blockage and widening are fractions of the area.  The ranges are those
+    of the novelty, which are not narrower than a share of the quantity.
     """
     inflow = np.concatenate([candidates.inflow, use.inflow])
     area = np.concatenate([candidates.area_undeformed, use.area_undeformed])
@@ -145,7 +147,10 @@ def _scaled(candidates: ModelInputs, use: ModelInputs) -> tuple[list[str], Array
     differ = np.ptp(np.concatenate([values, wanted]), axis=0) > half_width
     names = [name for name, differs in zip(QUANTITIES, differ, strict=True) if differs]
     scale = 2 * half_width[differ]
-    return names, values[:, differ], values[:, differ] / scale, wanted[:, differ] / scale
+    points, targets = values[:, differ] / scale, wanted[:, differ] / scale
+    for column in map(QUANTITIES.index, ("blockage", "widening")):
+        values[:, column] = np.abs(1 - np.exp(values[:, column]))
+    return names, values[:, differ], points, targets
 
 
 def _reason(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.parallel import RunOptions
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import all_of, whole
 from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions
@@ -18,6 +18,7 @@ from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.evaluation.design import choose
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
+from pcnde_bridge.model.inputs import check_cases
 
 
 def learning_curve(
@@ -61,8 +62,11 @@ def learning_curve(
     InputError
         If a size is larger than the number of training cases, or an argument is not usable.
     """
+    check_cases("train", train)
+    check_cases("test", test)
+    sizes = [whole(f"sizes[{i}]", size, 1) for i, size in enumerate(all_of(object, "sizes", sizes))]
     if not sizes or max(sizes) > len(train):
-        raise InputError(f"sizes must be numbers up to {len(train)}, got {list(sizes)}.")
+        raise InputError(f"sizes must be numbers up to {len(train)}, got {sizes}.")
     subsets = _subsets(train, sizes, whole("draws", draws), whole("seed", seed))
     settings, engine = resolve_config(config), same_everywhere(engine)
     tasks = {
@@ -87,7 +91,7 @@ def _subsets(
     rng = np.random.default_rng(seed)
     found = {}
     for size in sizes:
-        found[size, "designed"] = order[: whole("size", size, 1)]
+        found[size, "designed"] = order[:size]
         for draw in range(draws):
             found[size, f"random {draw}"] = rng.choice(len(train), size, replace=False)
     return found

@@ -10,7 +10,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.optional import require
-from pcnde_bridge._utils.validation import finite, whole
+from pcnde_bridge._utils.validation import all_of, finite_vector, whole
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.waveform import Waveform, coronary
@@ -70,16 +70,24 @@ def sobol_indices(
     InputError
         If a range or an index is not usable.
     """
-    for name, (low, high) in ranges.items():
-        if name not in INPUTS or not finite(name, low) < finite(name, high):
-            raise InputError(f"{name}: {(low, high)} is not a range of one of {list(INPUTS)}.")
+    if not isinstance(ranges, Mapping) or not ranges:
+        raise InputError(f"ranges must name some of {list(INPUTS)}, got {ranges!r}.")
+    for name, limits in ranges.items():
+        pair = finite_vector(f"ranges[{name!r}]", limits)
+        if name not in INPUTS or len(pair) != 2 or not pair[0] < pair[1]:
+            raise InputError(f"{name}: {limits} is not a range of one of {list(INPUTS)}.")
+    if isinstance(indices, str) or not all_of(str, "indices", indices):
+        raise InputError(f"indices must be a sequence of columns, got {indices!r}.")
     sampler = require("SALib.sample.sobol", "sensitivity")
     analysis = require("SALib.analyze.sobol", "sensitivity")
     problem = {"num_vars": len(ranges), "names": [*ranges], "bounds": [*ranges.values()]}
     options = {"calc_second_order": False, "seed": whole("seed", seed)}
     points = sampler.sample(problem, whole("samples", samples, 2), **options)
-    vessel = vessel or Vessel((Stenosis(0.6),))
-    found = _evaluate(model, [*ranges], points, indices, vessel, waveform or coronary())
+    [vessel] = all_of(Vessel, "vessel", [vessel or Vessel((Stenosis(0.6),))])
+    [waveform] = all_of(Waveform, "waveform", [coronary() if waveform is None else waveform])
+    if len(vessel.stenoses) != 1:
+        raise InputError(f"vessel must have one stenosis, got {vessel!r}.")
+    found = _evaluate(model, [*ranges], points, indices, vessel, waveform)
     tables = {}
     for number, index in enumerate(indices):
         result = analysis.analyze(problem, found[:, number], **options)
@@ -111,7 +119,8 @@ def _evaluate(
         vessels = (replace(vessel, stenoses=(Stenosis(*row),)) for row in rows[:, :3].tolist())
         areas = np.array([each.area_undeformed(z) for each in vessels])
         table = model.predict(inflow, areas).indices()
-        if unknown := [index for index in indices if index not in table]:
-            raise InputError(f"There is no index {unknown[0]!r}; there are {[*table]}.")
+        known = [*table.select_dtypes("number")]
+        if unknown := [index for index in indices if index not in known]:
+            raise InputError(f"There is no index {unknown[0]!r}; there are {known}.")
         found.append(table[list(indices)].to_numpy(dtype=float))
     return np.concatenate(found)

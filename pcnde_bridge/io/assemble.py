@@ -22,7 +22,7 @@ from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.checks import check_arrays
 from pcnde_bridge.data.labels import default_labels
-from pcnde_bridge.data.plausibility import OPTION, check_flow, check_units, sizes_of
+from pcnde_bridge.data.plausibility import OPTION, check_axes, check_units, check_vessel, sizes_of
 from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.resampling import (
@@ -117,10 +117,13 @@ def to_cases(
             check_arrays(given.as_case())
             check_increasing("time", given.time)
             vessel = _flipped(_in_cgs(given, stated), flip)
-            check_units(sizes_of(**vessel.as_case()), {*stated, *given.units}, OPTION, unique=True)
+            known = {*stated, *given.units}
+            check_axes(vessel.flow)
+            check_units(sizes_of(**vessel.as_case()), known, OPTION, unique=True)
             vessel = one_cycle(vessel, period)
             if not vessel.predicted:
-                check_flow(vessel.flow, vessel.area, vessel.z, _FLIP)
+                check_vessel(vessel.variables(), vessel.z, vessel.time, _FLIP)
+                check_units(sizes_of(**vessel.as_case()), known, OPTION)
             vessel = on_time_points(vessel, time_points)
             vessels.append(on_points(vessel, points))
     first = vessels[0]

@@ -20,7 +20,6 @@ _CLOSED = 0.05  # of a variable's range: largest difference between cycles
 _NEAR = 0.25  # of a time step: saves of two cycles that are nearer than this are one
 _FEWEST = 4  # time points of a cycle
 _OVERSHOOT = 0.05  # of a variable's range, beyond the values that are resampled
-_JUMP = 3.0  # times the largest step of a waveform: a larger step is a gap
 
 
 def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
@@ -72,22 +71,16 @@ def one_cycle(vessel: VesselResults, period: float | None) -> VesselResults:
 
 def _whole_recording(vessel: VesselResults) -> VesselResults:
     """Return the recording as one cycle, with its period."""
-    time, inflow = vessel.time, vessel.flow[:, 0]
-    span, steps = float(np.ptp(time)), np.diff(time)
+    time, span, steps = vessel.time, float(np.ptp(vessel.time)), np.diff(vessel.time)
     if not _uniform(time):
         raise InputError(
             f"the time steps differ, from {steps.min():g} to {steps.max():g} s: pass the period, "
             "and time_points= (--period, --time-points) to resample."
         )
     ends = (np.abs(v[0] - v[-1]).max() <= _SAME * np.ptp(v) for v in vessel.variables().values())
-    if all(ends) and np.ptp(inflow) > 0:
+    if all(ends) and np.ptp(vessel.flow[:, 0]) > 0:
         advice = f"Pass period={span:g} (--period {span:g}) to leave it out."
         raise InputError(f"the last time point repeats the first, one period later. {advice}")
-    if abs(inflow[0] - inflow[-1]) > _JUMP * np.abs(np.diff(inflow)).max():
-        raise InputError(
-            f"it is not one cycle: the inflow ends at {inflow[-1]:.4g} mL/s and begins at "
-            f"{inflow[0]:.4g} mL/s, a gap in its waveform. Pass the period (--period)."
-        )
     return dataclasses.replace(vessel, period=span * time.size / (time.size - 1))
 
 

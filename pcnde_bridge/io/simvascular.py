@@ -7,6 +7,9 @@ is ``wss_00500`` or, as in the 3D results, ``vWSS_00500``, whose magnitude is us
 reduced-order simulations write ``pressure_0.5``, ``flow_0.5`` and ``area_0.5``, named by
 the time in s.  ``Path`` is the distance along each branch, ``BranchId`` the branch (-1
 within a junction), ``CenterlineSectionArea`` the area of the cross-section of the mesh.
+
+Time series have a file for each time step, with arrays ``pressure``, ``velocity`` and so on:
+``name_00500.vtp``, named by the number of the time step, or those that a ``.pvd`` file lists.
 """
 
 from __future__ import annotations
@@ -22,19 +25,18 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.archive import with_prefix
+from pcnde_bridge._utils.files import as_paths, reading
 from pcnde_bridge._utils.validation import positive
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, read_vessels
 from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER
 from pcnde_bridge.io.vessel_results import VesselResults
-from pcnde_bridge.io.vtp import Lines, read_lines
+from pcnde_bridge.io.vtp import Lines, read_lines, xml_root
 
-_STEP = re.compile(
-    r"(pressure|velocity|flow|area|wall_shear_stress|v?wss)_"
-    r"(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)",
-    re.IGNORECASE,
-)
+_VARIABLE = re.compile("pressure|velocity|flow|area|wall_shear_stress|v?wss", re.IGNORECASE)
+_STEP = re.compile(rf"({_VARIABLE.pattern})_(\d+|\d*\.?\d+(?:[eE][-+]?\d+)?|\d+\.)", re.IGNORECASE)
+_NUMBERED = re.compile(r"(.*?)(\d+)\.vtp", re.IGNORECASE)
 _UNDEFORMED = ("area_undeformed", "CenterlineSectionArea", "area")
 
 _Positions = npt.NDArray[np.intp]
@@ -53,10 +55,11 @@ def read_simvascular(
     Parameters
     ----------
     paths : path-like or sequence of path-like
-        ``.vtp`` files, one for each case.
+        ``.vtp`` files, one for each case or, with arrays without the number of the time step
+        in their names, one for each time step; or ``.pvd`` files that list them.
     time_step : float, optional
-        Time step of the 3D simulation, s; needed where arrays are named by the number of
-        the time step.
+        Time step of the 3D simulation, s; needed where arrays or files are named by the
+        number of the time step.
     branch : int, optional
         ``BranchId`` of the vessel, where the file has several.
     rigid : bool
@@ -82,16 +85,58 @@ def read_simvascular(
     InputError
         If arrays are missing, or units, flow or time steps are ambiguous.
     """
-    return read_vessels(
-        paths, lambda path: [_read_vessel(path, branch, time_step, rigid)], **options
-    )
+    series = _series(as_paths(paths))
+
+    def read(name: Path) -> list[VesselResults]:
+        return [_vessel(str(name), _merged(series[name]), branch, time_step, rigid)]
+
+    return read_vessels([*series], read, **options)
 
 
-def _read_vessel(
-    path: Path, branch: int | None, time_step: float | None, rigid: bool
+def _series(paths: Sequence[Path]) -> dict[Path, dict[str, Path]]:
+    """Return the files of each case by their time step; "" is that of a file with all of them."""
+    series: dict[Path, dict[str, Path]] = {}
+    by_step: dict[Path, bool] = {}
+    for path in paths:
+        number = _NUMBERED.fullmatch(path.name)
+        name = path.with_name(f"{number[1]}….vtp") if number else path
+        if path.suffix.lower() == ".pvd":
+            series |= _collection(path)
+        elif number and name not in by_step:
+            by_step[name] = not any(map(_STEP.fullmatch, read_lines(path).arrays))
+        if number and by_step[name]:
+            series.setdefault(name, {})[number[2]] = path
+        elif path.suffix.lower() != ".pvd":
+            series[path] = {"": path}
+    return series
+
+
+def _collection(path: Path) -> dict[Path, dict[str, Path]]:
+    """Return the files of each part of a ``.pvd`` file by their time step."""
+    parts: dict[Path, dict[str, Path]] = {}
+    with reading(path, "a .pvd file (VTK XML Collection)"):
+        for item in xml_root(path.read_bytes()).iterfind("Collection/DataSet"):
+            part = path.with_name(f"{path.name}, part {item.get('part', '0')}")
+            parts.setdefault(part, {})[item.attrib["timestep"]] = path.parent / item.attrib["file"]
+    return parts
+
+
+def _merged(files: Mapping[str, Path]) -> Lines:
+    """Return the files of a time series as one, with the time step in the names of arrays."""
+    first, *others = (read_lines(path) for path in files.values())
+    arrays = {name: v for name, v in first.arrays.items() if not _VARIABLE.fullmatch(name)}
+    for step, found in zip(files, (first, *others), strict=True):
+        if not np.array_equal(found.points, first.points):
+            raise InputError(f"{files[step]} has other points than the first file.")
+        named = {n: v for n, v in found.arrays.items() if step and _VARIABLE.fullmatch(n)}
+        arrays |= {f"{name}_{step}": values for name, values in named.items()}
+    return first._replace(arrays=arrays if all(files) else first.arrays)
+
+
+def _vessel(
+    name: str, centerline: Lines, branch: int | None, time_step: float | None, rigid: bool
 ) -> VesselResults:
     """Return the results of a vessel, in the order of time and from its inlet on."""
-    centerline = read_lines(path)
     points, arrays = _from_inlet_on(centerline, branch)
     names = _names_by_step(arrays)
     for name in names.get("wall_shear_stress", {}).values():
@@ -115,7 +160,7 @@ def _read_vessel(
     facts = centerline.facts
     period = facts.get("period")
     return VesselResults(
-        str(path),
+        name,
         **fields,
         area_undeformed=_scalar(arrays, undeformed),
         time=_times(steps, time_step),

@@ -74,13 +74,23 @@ def read_lines(path: Path) -> Lines:
     with reading(path, "a .vtp file with lines (VTK XML PolyData)"):
         content = path.read_bytes()
         head, tag, appended = content.partition(b"<AppendedData")
-        # In UTF-16, which has zero bytes, entities could hide.
-        if any(word in head for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")):
-            raise ValueError("it defines XML entities, or is not UTF-8 text")
         # Raw appended data are not XML; the part before them is, once it is closed.
-        parser = ElementTree.XMLParser(encoding="utf-8")
-        root = ElementTree.fromstring(head + b"</VTKFile>" if tag else head, parser)
+        root = xml_root(head + b"</VTKFile>" if tag else head)
         return _lines(root, _Decoder(root.attrib, appended, Budget(len(content))))
+
+
+def xml_root(content: bytes) -> ElementTree.Element:
+    """Parse an XML file of VTK, which must not define entities.
+
+    Raises
+    ------
+    ValueError, ElementTree.ParseError
+        If it is not such a file.
+    """
+    # In UTF-16, which has zero bytes, entities could hide.
+    if any(word in content for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")):
+        raise ValueError("it defines XML entities, or is not UTF-8 text")
+    return ElementTree.fromstring(content, ElementTree.XMLParser(encoding="utf-8"))
 
 
 def _lines(root: ElementTree.Element, decode: _Decoder) -> Lines:

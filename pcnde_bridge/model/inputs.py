@@ -22,7 +22,7 @@ from pcnde_bridge._utils.validation import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
-from pcnde_bridge.data.plausibility import OPTION, check_units, input_sizes
+from pcnde_bridge.data.plausibility import OPTION, check_samples, check_units, input_sizes
 from pcnde_bridge.data.units import factors_to_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
@@ -147,6 +147,7 @@ def inputs_from_arrays(
             "both, or one of either."
         )
     converted = q * factor["flow"], s_u * factor["area"]
+    check_samples("inflow", converted[0].T, grid.time, "case")
     q, s_u = (np.repeat(array, count // len(array), axis=0) for array in converted)
     numbers = pd.DataFrame(np.arange(count)[:, None], columns=_CASE, copy=False)
     return Inputs(q, s_u, grid, numbers)
@@ -175,10 +176,12 @@ def check_plausible(
         diameters are given as areas.
     """
     inflow, area, grid = inputs.inflow[chosen], inputs.area_undeformed[chosen], inputs.grid
-    mean = inflow.mean(axis=1)
-    backward = mean < -1e-3 * np.abs(inflow).max(axis=1)
+    mean, largest = inflow.mean(axis=1), np.abs(inflow).max(axis=1)
+    backward = mean < -1e-3 * largest
     rule = "the cycle's mean inflow must not be negative: flow into the vessel is positive (mL/s)"
     check_values("the mean of inflow", mean, backward, rule)
+    rule = "there is no flow; give the flow rate at the inlet (mL/s) over one cycle"
+    check_values("the largest inflow", largest, largest == 0, rule)
     sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)
     check_units(sizes, stated, OPTION, unique=True)
     if novelty is None or "area" in stated:

@@ -19,7 +19,7 @@ from pcnde_bridge._utils.optional import require
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.indices import VesselQuantities
+from pcnde_bridge.data.indices import VesselQuantities, with_columns
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io import predictions
@@ -196,11 +196,11 @@ class Prediction(VesselQuantities):
             return frame
         positions = frame["proximal"].to_numpy(), frame["distal"].to_numpy()
         found = [sample._index_values(*positions) for sample in self.each_sample()]
+        limits = {}
         for name in found[0]:
             width = factor * np.std([values[name] for values in found], axis=0, ddof=1)
-            frame[f"{name}_low"] = frame[name] - width
-            frame[f"{name}_high"] = frame[name] + width
-        return frame
+            limits[f"{name}_low"], limits[f"{name}_high"] = frame[name] - width, frame[name] + width
+        return with_columns(frame, limits)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a tidy frame with one row for each case, time point and axial position.

@@ -42,9 +42,25 @@ def test_split_by_fraction_or_label(small_cases, capsys):
         ("2", InputError, "between 0 and 1, got 2"),
         ("geometry=5", InputError, "no case has geometry = 5; the values are: 1, 2, 3"),
         ("geometry=a", InputError, "no case has geometry = a; the values are: 1, 2, 3"),
-        ("geometri=1", DataNotFoundError, "no split file 'geometri=1'; give 'paper', a fraction"),
+        ("geometri=1", InputError, "no label 'geometri'; the labels are 'geometry', 'wave"),
+        ("papre", DataNotFoundError, "no split file 'papre'; give 'paper', a fraction"),
+        ("", InputError, "--split is empty"),
     ],
 )
 def test_unusable_splits_are_refused(small_cases, split, error, message):
     with pytest.raises(error, match=message):
         split_of(small_cases, "mine.h5", split)
+
+
+def test_a_file_may_have_an_equals_sign(small_cases, tmp_path):
+    path = tmp_path / "a=b.json"
+    path.write_text('{"train": [[1, 0]], "test": [[2, 0]]}')
+    assert len(split_of(small_cases, "mine.h5", str(path))["test"]) == 1
+
+
+@pytest.mark.parametrize("command", [("predict", "--indices"), ("evaluate", "--csv")])
+def test_tables_have_the_ending_of_tables(run_pcnde, command):
+    name, flag = command
+    code, _, err = run_pcnde(name, "m.npz", "d.npz", flag, "indices.npz")
+    assert code == 2
+    assert "indices.npz will be a table: its name must end in .csv or .csv.gz" in err

@@ -146,6 +146,19 @@ def test_areas_in_other_units_are_refused(small_cases, factor, unit):
         Cases(**case_arguments(small_cases, **both))
 
 
+def test_damaged_samples_and_signs_are_refused(sheared_cases):
+    """One absurd sample, or a wall shear stress against the flow."""
+    for name in ("flow", "area", "pressure", "wall_shear_stress"):
+        array = np.array(getattr(sheared_cases, name))
+        array[1, 7, 3] *= 3
+        with pytest.raises(InputError, match=rf"case 1: {name} is .* at 0\.35 s .*point 3"):
+            Cases(**case_arguments(sheared_cases, **{name: array}))
+        Cases(**case_arguments(sheared_cases, **{name: array}), check=False)
+    negative = -np.abs(sheared_cases.wall_shear_stress)
+    with pytest.raises(InputError, match="case 0: the wall shear stress points against the flow"):
+        Cases(**case_arguments(sheared_cases, wall_shear_stress=negative))
+
+
 def test_usual_values_do_not_warn(small_cases):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -99,3 +101,15 @@ def test_refuses_wrong_label_columns(small_cases, columns, message):
 def test_labels_leave_the_names_of_a_prediction_alone(small_cases, name):
     with pytest.raises(InputError, match=f"column named '{name}', which is the name"):
         with_labels(small_cases, small_cases.labels.assign(**{name: 1.0}))
+
+
+def test_labels_named_like_results_are_not_overwritten(small_cases, physics_prediction):
+    named = with_labels(small_cases, small_cases.labels.assign(ffr=0.9))
+    with pytest.raises(InputError, match="label 'ffr' has the name of a column"):
+        named.indices()
+    labels = physics_prediction.labels.assign(ffr_low=0.5, flow_standard_deviation=1.0)
+    predicted = dataclasses.replace(physics_prediction, labels=labels)
+    with pytest.raises(InputError, match="label 'ffr_low'"):
+        predicted.indices()
+    with pytest.raises(InputError, match="label 'flow_standard_deviation'"):
+        predicted.to_frame()

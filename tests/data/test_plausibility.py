@@ -5,21 +5,27 @@ from __future__ import annotations
 import itertools
 import re
 
+import h5py
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.plausibility import (
     CONVERT,
     OPTION,
     check_flow,
+    check_samples,
     check_units,
-    input_sizes,
+    check_vessel,
     sizes_of,
 )
 from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.io import read_hdf5
+from pcnde_bridge.model.inputs import check_plausible, inputs_from_arrays
 
 
 def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=False, shear=1.0):
@@ -51,6 +57,15 @@ def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=Fal
     return {**fields, "wall_shear_stress": stress[None]}
 
 
+def is_usual(fields):
+    """Whether an artery is within the ranges of the package."""
+    try:
+        check_units(sizes_of(**fields), (), CONVERT)
+    except InputError:
+        return False
+    return True
+
+
 arteries = st.builds(
     artery,
     st.floats(0.1, 3.5),
@@ -60,7 +75,7 @@ arteries = st.builds(
     st.floats(5e4, 2e5),
     rigid=st.booleans(),
     shear=st.none() | st.floats(0.4, 2.5),
-)
+).filter(is_usual)
 mixes = st.fixed_dictionaries(
     {name: st.sampled_from(list(units)) for name, units in FACTORS.items()}
 )
@@ -82,39 +97,53 @@ def stated_in(message):
     return dict(part.split("=") for part in found[1].split(","))
 
 
-@settings(max_examples=10 * settings().max_examples)
-@given(fields=arteries, units=mixes, whole=st.booleans())
-def test_every_mix_of_units_is_refused_or_right(fields, units, whole):
-    """Following the advice leads to the vessel itself, or to another refusal."""
-
-    def sizes(fields):
-        if whole:
-            return sizes_of(**fields)
-        length, period = np.ptp(fields["z"]), np.ptp(fields["time"])
-        return input_sizes(fields["flow"], fields["area_undeformed"], length, period)
-
+def read_again(read, units):
+    """The result of a reader, after following its advice; None if the reader refuses."""
     try:
-        check_units(sizes(fields), (), CONVERT)
-    except InputError:
-        assume(False)  # not an artery of the table's ranges
-    measured = [name for name in FACTORS if whole or name in ("flow", "area", "z", "time")]
-    given = in_units(fields, {name: units[name] for name in measured})
-    try:
-        check_units(sizes(given), (), OPTION, unique=True)
+        return read(None)
     except InputError as error:
         stated = stated_in(str(error))
-        if stated is None:
-            return
-        factors = factors_to_cgs(stated)
-        factors["area_undeformed"] = factors["area"]
-        given = {name: factors[name] * values for name, values in given.items()}
-        try:
-            check_units(sizes(given), stated, OPTION, unique=True)
-        except InputError:
-            return
-    for name, values in fields.items():
-        if whole or name in ("flow", "area_undeformed", "z", "time"):
-            np.testing.assert_allclose(given[name], values, rtol=1e-12)
+    try:
+        return None if stated is None else read(stated)
+    except InputError:
+        return None
+
+
+@settings(max_examples=5 * settings().max_examples, suppress_health_check=[*HealthCheck])
+@given(fields=arteries, units=mixes)
+def test_a_file_in_any_mix_of_units_is_refused_or_right(fields, units, tmp_path):
+    """Following the advice leads to the vessel itself, or to another refusal."""
+    path = tmp_path / "vessel.h5"
+    with h5py.File(path, "w") as file:
+        for name, values in in_units(fields, units).items():
+            file[name] = values
+    found = read_again(lambda stated: read_hdf5(path, units=stated), units)
+    for name, values in fields.items() if found is not None else ():
+        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-12)
+
+
+@settings(max_examples=5 * settings().max_examples)
+@given(fields=arteries, units=mixes, alone=st.booleans())
+def test_a_prediction_in_any_mix_of_units_is_refused_or_right(fields, units, alone):
+    """If ``alone``, points and period are those of the training."""
+    period, flow = fields["time"][-1] * 16 / 15, fields["flow"][:, :, 0]
+    trained = Grid(fields["time"], fields["z"], period)
+    factors = factors_to_cgs(units)
+    where = {} if alone else {"z": fields["z"] / factors["z"], "period": period / factors["time"]}
+    arrays = flow / factors["flow"], fields["area_undeformed"] / factors["area"]
+
+    def read(stated):
+        found = inputs_from_arrays(trained, True, *arrays, **where, units=stated)
+        known = {*(stated or ()), *(("z", "time") if alone else ())}
+        check_plausible(found, np.array([True]), known, None)
+        return found
+
+    found = read_again(read, units)
+    if found is not None:
+        expected = flow, fields["area_undeformed"], fields["z"], period
+        numbers = found.inflow, found.area_undeformed, found.grid.z, found.grid.period
+        for one, other in zip(numbers, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +197,6 @@ def caps(flow, area):
             lambda flow, area: np.where(np.arange(12) > 7, -flow, flow),
             "Its sign seems to change",
         ),
-        (lambda flow, area: flow.T, r"look transposed.*np\\.swapaxes"),
         (lambda flow, area: -flow, "runs against z.*turn it"),
     ],
 )
@@ -192,3 +220,64 @@ def test_units_are_all_tried():
             mix = {one: units[0][0], other: units[1][0]}
             with pytest.raises(InputError, match="CGS"):
                 check_units(sizes_of(**in_units(fields, mix)), (), OPTION, unique=True)
+
+
+def waveform(n=100):
+    """Mean, and three harmonics with the amplitudes of an artery's, (time, 2)."""
+    angle = 2 * np.pi * np.arange(n)[:, None] / n + [0.0, 1.0]
+    return 1.3 + 0.4 * np.cos(angle) + 0.2 * np.cos(2 * angle + 1) + 0.1 * np.cos(5 * angle)
+
+
+@pytest.mark.parametrize("at", [0, 1, 50, 99])
+@pytest.mark.parametrize("factor", [0.0, 0.9, 1.1, -1.0, 100.0])
+def test_a_single_damaged_sample_is_found(at, factor):
+    values = waveform()
+    values[at, 1] *= factor
+    message = rf"flow is .* at {at / 100:g} s \(time point {at}, point 1\).*sample is damaged"
+    with pytest.raises(InputError, match=message):
+        check_samples("flow", values, np.arange(100) / 100)
+    steady = np.full((20, 1), 2.0)
+    check_samples("flow", steady, np.arange(20) / 20)
+    steady[3] = 2.1
+    with pytest.raises(InputError, match="time point 3, case 0"):
+        check_samples("flow", steady, np.arange(20) / 20, "case")
+
+
+def test_sharp_but_whole_waveforms_have_no_damaged_sample():
+    """Jumps, corners and noise; few time points; unequal steps."""
+    rng = np.random.default_rng(0)
+    for n in (8, 20, 50, 100, 1000):
+        t = (np.arange(n) / n)[:, None]
+        sharp = (np.where(t < 0.4, 2.0, 1.0), np.abs(t - 0.5), np.abs(np.sin(np.pi * t)))
+        ejection = np.maximum(np.sin(2 * np.pi * t / 0.7), 0) * (t < 0.35)
+        noisy = waveform(n) + rng.normal(0, 0.05, (n, 2))
+        for values in (*sharp, ejection, noisy, waveform(n)):
+            check_samples("flow", values, t[:, 0])
+        time = np.sort(rng.uniform(size=n))
+        spread = np.interp(time, t[:, 0], t[:, 0] + 0.2 / n * rng.uniform(size=n))
+        check_samples("flow", np.cos(2 * np.pi * spread)[:, None], spread)
+
+
+def test_a_factor_of_the_flow_is_found():
+    """Three times the flow does not go with the growth of the volume."""
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5)
+    check_units(sizes_of(**fields), (), CONVERT)
+    stress = fields.pop("wall_shear_stress")
+    Cases(**fields)
+    for factor in (1 / 4, 3):
+        with pytest.raises(InputError, match=rf"growth of the volume, is {factor:g}, usual are"):
+            Cases(**{**fields, "flow": factor * fields["flow"]})
+    variables = {name: fields[name][0] for name in ("flow", "area", "pressure")}
+    one = variables, fields["z"], fields["time"], ""
+    check_vessel(*one)
+    variables["wall_shear_stress"] = -stress[0]
+    with pytest.raises(InputError, match="wall shear stress points against the flow"):
+        check_vessel(*one)
+
+
+def test_less_or_more_than_a_cycle_is_refused():
+    values = waveform()
+    for part in (values[:50], values[:90], np.concatenate([values, values[:50]])):
+        with pytest.raises(InputError, match=r"not one cycle: flow ends at .* \(point \d\)"):
+            check_samples("flow", part, np.arange(len(part)) / 100)
+    check_samples("flow", np.concatenate([values, values]), np.arange(200) / 100)

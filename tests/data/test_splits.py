@@ -164,6 +164,16 @@ def test_split_refuses_arguments(small_cases, how, options, message):
         small_cases.split(*how, **options)
 
 
+@pytest.mark.parametrize("by", [["geometry"], {}, 3, "geometri"])
+def test_labels_that_are_no_names_are_refused(small_cases, by):
+    for divide in (lambda: small_cases.split(0.5, by=by), lambda: small_cases.folds(2, by=by)):
+        with pytest.raises(InputError, match="there is no label"):
+            divide()
+    for values in ([[1], [2, 3]], np.array([[1], [2]]), {1: 2}, None):
+        with pytest.raises(InputError, match="no case has geometry"):
+            small_cases.split(geometry=values)
+
+
 def test_too_few_groups_are_refused(small_cases):
     with pytest.raises(InputError, match="no case is left for testing"):
         small_cases[0].split(0.5)

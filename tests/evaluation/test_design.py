@@ -66,6 +66,8 @@ def test_corners_come_first_and_then_the_middle(candidates):
     assert chosen["reason"][0] == "one end of the longest distance"
     assert "blockage" in " ".join(chosen["reason"])
     assert "amplitude" in " ".join(chosen["reason"])
+    blocked = 1 - inputs.area_undeformed.min(axis=1) / np.median(inputs.area_undeformed, axis=1)
+    np.testing.assert_allclose(chosen["blockage"], blocked[chosen["case"]])
 
 
 def test_finished_simulations_are_not_chosen_again(candidates):

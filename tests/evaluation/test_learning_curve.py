@@ -30,3 +30,19 @@ def test_designed_and_random_subsets(small_cases, toy_config, tmp_path):
     assert again.equals(table)
     with pytest.raises(InputError, match="numbers up to 8"):
         learning_curve(train, test, (9,), config, engine)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"train": "cases.npz"}, "train must be Cases, got str"),
+        ({"test": None}, "test must be Cases, got NoneType"),
+        ({"sizes": 4}, "sizes must be a sequence"),
+        ({"sizes": "4"}, r"sizes\[0\] must be a whole number ≥ 1, got '4'"),
+        ({"sizes": [4, 0.5]}, r"sizes\[1\] must be a whole number ≥ 1, got 0.5"),
+        ({"sizes": []}, r"numbers up to 12, got \[\]"),
+    ],
+)
+def test_unusable_arguments_are_refused(small_cases, change, message):
+    with pytest.raises(InputError, match=message):
+        learning_curve(**{"train": small_cases, "test": small_cases, "sizes": [4]} | change)

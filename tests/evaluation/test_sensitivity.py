@@ -12,6 +12,7 @@ import pytest
 from pcnde_bridge import InputError, MissingExtraError
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.evaluation import sensitivity, sobol_indices
+from pcnde_bridge.hemodynamics.geometry import Vessel
 
 pytest.importorskip("SALib")
 
@@ -47,7 +48,32 @@ def test_a_model_of_the_preset_physics(physics_model):
     assert found.loc[("mean_drop_mmHg", "blockage"), "total"] > 0.5
 
 
-@pytest.mark.parametrize("ranges", [{"colour": (0, 1)}, {"blockage": (0.8, 0.4)}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ranges": {}},
+        {"ranges": ["blockage"]},
+        {"ranges": None},
+        {"ranges": {"blockage": 0.5}},
+        {"ranges": {"blockage": "ab"}},
+        {"indices": "ffr"},
+        {"indices": []},
+        {"indices": 3},
+        {"indices": ["positions"]},
+        {"vessel": Vessel()},
+        {"vessel": "paper"},
+        {"waveform": np.ones(40)},
+    ],
+)
+def test_unusable_arguments_are_refused(physics_model, change):
+    with pytest.raises(InputError, match=next(iter(change)).replace("indices", "ind(ices|ex)")):
+        sobol_indices(physics_model, **{"ranges": {"blockage": (0.5, 0.6)}, "samples": 2} | change)
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [{"colour": (0, 1)}, {"blockage": (0.8, 0.4)}, {"blockage": (0.4, 0.5, 0.6)}, {3: (0, 1)}],
+)
 def test_unusable_ranges_are_refused(ranges):
     with pytest.raises(InputError, match="is not a range of one of"):
         sobol_indices(Formula(), ranges)

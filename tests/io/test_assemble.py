@@ -11,6 +11,7 @@ from io_helpers import replaced, results_of
 from pcnde_bridge import InputError
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.io import to_cases
+from pcnde_bridge.io.resampling import on_points
 
 
 def test_whole_results_are_taken_as_they_are(small_cases):
@@ -81,3 +82,13 @@ def test_wall_shear_stress_follows_flow_and_grid(sheared_vessel, vessel):
     assert np.array_equal(turned, to_cases([sheared_vessel]).wall_shear_stress)
     with pytest.raises(InputError, match="vessel has a wall shear stress, but plain has none"):
         to_cases([replaced(vessel, name="plain"), sheared_vessel])
+
+
+def test_square_arrays_that_are_transposed_are_recognized(vessel):
+    """Before the period is missed, which their waveform seems to lack."""
+    square = on_points(vessel, vessel.time.size)
+    turned = square.change(np.transpose)
+    for options in ({}, {"period": 1.0}, {"units": "cgs"}):
+        with pytest.raises(InputError, match=r"arrays look transposed.*np\.swapaxes"):
+            to_cases([turned], **options)
+    to_cases([square])

@@ -6,11 +6,11 @@ import itertools
 
 import numpy as np
 import pytest
-from io_helpers import at_times, centerline, edited, lines, stored
+from io_helpers import at_times, centerline, edited, lines, predicted, replaced, stored
 
-from pcnde_bridge import InputError
+from pcnde_bridge import FileError, InputError
 from pcnde_bridge.data.variables import VARIABLES
-from pcnde_bridge.io import read_simvascular, to_cases
+from pcnde_bridge.io import read_simvascular, to_cases, write_pvd
 
 
 def test_reads_what_the_slicer_writes(vessel, tmp_path):
@@ -145,3 +145,43 @@ def test_wall_shear_stress_of_a_centerline(sheared_vessel, tmp_path, name):
     path = centerline(tmp_path / "a.vtp", sheared_vessel, extra=extra)
     with pytest.raises(InputError, match=r"no wall_shear_stress_0\.95 .*19 of 20 time steps"):
         read_simvascular(path)
+
+
+def time_steps(folder, vessel):
+    """A file for each time step, as ParaView's and SimVascular's exports are."""
+    paths = []
+    for i in range(vessel.time.size):
+        extra = {name: getattr(vessel, name)[i] for name in ("pressure", "area")}
+        extra["velocity"] = vessel.flow[i]
+        path = folder / f"flow_{100 * (i + 1):05d}.vtp"
+        paths.append(centerline(path, vessel, steps=(), extra=extra))
+    return paths
+
+
+def test_a_file_for_each_time_step(vessel, tmp_path):
+    paths = time_steps(tmp_path, vessel)
+    found = read_simvascular(paths[::-1], time_step=vessel.time[1] / 100)
+    for name in VARIABLES:
+        assert np.array_equal(getattr(found, name)[0], getattr(vessel, name))
+    assert found.n_times == vessel.time.size
+    with pytest.raises(InputError, match=r"flow_….vtp: .* pass the time step in s"):
+        read_simvascular(paths)
+    (tmp_path / "other").mkdir()
+    other = time_steps(tmp_path / "other", replaced(vessel, z=1.01 * vessel.z))
+    other[1].rename(paths[1])
+    with pytest.raises(InputError, match=r"has other points than the first file"):
+        read_simvascular(paths[:2], time_step=0.01)
+
+
+def test_an_animation_comes_back(small_cases, tmp_path):
+    prediction = predicted(small_cases, [0, 6, 11])
+    write_pvd(prediction, tmp_path / "a.pvd")
+    found = read_simvascular(tmp_path / "a.pvd")
+    expected = prediction.to_cases()
+    assert found.fingerprint() == expected.fingerprint()
+    (tmp_path / "a.pvd").write_text('<!DOCTYPE VTKFile [<!ENTITY x "5">]><VTKFile/>')
+    with pytest.raises(FileError, match=r"is not a \.pvd file"):
+        read_simvascular(tmp_path / "a.pvd")
+    (tmp_path / "a.pvd").write_text("<VTKFile/>")
+    with pytest.raises(InputError, match="no results"):
+        read_simvascular(tmp_path / "a.pvd")

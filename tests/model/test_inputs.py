@@ -58,6 +58,15 @@ def test_other_numbers_are_refused(check, change, message):
         check(**change)
 
 
+def test_no_flow_and_damaged_samples_are_refused(check):
+    with pytest.raises(InputError, match=r"largest inflow\[0\] is 0\.0: there is no flow"):
+        check(flow=0.0)
+    damaged = np.ones((20, 1))
+    damaged[3] = 1.1
+    with pytest.raises(InputError, match=r"inflow is .* at 0\.15 s \(time point 3, case 0\)"):
+        check(flow=damaged.T)
+
+
 def test_units_are_converted(check):
     expected = check()
     units = {"flow": "mL/min", "area": "mm^2", "z": "mm", "time": "ms"}
