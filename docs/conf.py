@@ -39,7 +39,7 @@ autosummary_generate = True
 autodoc_typehints = "none"  # the signature would repeat the docstring's types
 numpydoc_show_class_members = False
 
-# The tests run the notebooks; the site shows them as they are stored.
+# The site shows the outputs that notebooks/execute.py stores; a test keeps them current.
 nb_execution_mode = "off"
 
 

@@ -84,7 +84,7 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
     @app.callback(
         [Output(column, "figure") for column in _COLUMNS],
         [Output(f"{column}-title", "children") for column in _COLUMNS],
-        [Output(name, "children") for name in ("message", "progress", "novelty")],
+        [Output(name, "children") for name in ("message", "progress", "numbers", "novelty")],
         Output("novelty", "className"),
         {name: Input(*component) for name, component in _CONTROLS.items()},
         Input("time-point", "value"),
@@ -104,7 +104,7 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
             found = explorer.prediction(inputs)
         except PCNDEError as error:
             empty = page.redraw({name: {} for name in explorer.variables}, 0)
-            return empty, empty, no_update, no_update, str(error), "", "", ""
+            return empty, empty, no_update, no_update, str(error), "", "", "", ""
         t, z = float(found.time[time_index]), float(found.z[z_index])
         hidden = page.COMPARISONS.keys() - set(shown)
         return (
@@ -114,8 +114,25 @@ def _connect_drawing(app: Dash, explorer: Explorer) -> None:
             f"Over one cycle at z = {z:.2f} cm",
             "",
             _describe_progress(explorer, inputs, shown),
+            _describe_numbers(explorer, inputs),
             *_describe_novelty(explorer.novelty(inputs)),
         )
+
+
+def _describe_numbers(explorer: Explorer, inputs: Inputs) -> list[Any]:
+    """Return mean pressure drop and FFR, with intervals as soon as they are computed."""
+    numbers, limits = explorer.indices(inputs), explorer.interval.cached(inputs)
+    lines: list[Any] = []
+    for name, label, digits in (("mean_drop_mmHg", "Drop, mmHg", 2), ("ffr", "FFR", 3)):
+        if name in numbers:
+            text = f"{label} {numbers[name]:.{digits}f}"
+            lines.append(html.Strong(text))
+            if isinstance(limits, Mapping):
+                low, high = (f"{limit[0]:.{digits}f}" for limit in limits[name])
+                lines.append(f"90 % interval {low} to {high}")
+    if numbers:
+        lines.append(html.Small(f"Drop of Seeley and Young: {numbers['empirical']:.2f} mmHg"))
+    return lines
 
 
 def _describe_novelty(scores: Mapping[str, float]) -> tuple[list[Any], str]:

@@ -14,8 +14,10 @@ from pcnde_bridge._utils.files import plain_text
 from pcnde_bridge.app.inputs import Choices, Inputs
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import PCNDEError
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.synthetic import OUTLET_RESISTANCE
 from pcnde_bridge.hemodynamics.tube_laws import LinearWall
@@ -27,6 +29,7 @@ Limits = Mapping[str, tuple[Array, Array]]
 T = TypeVar("T")
 
 _CACHE_SIZE = 32
+INDICES = "mean_drop_mmHg", "ffr"
 
 
 class Line(NamedTuple):
@@ -97,7 +100,8 @@ class Explorer:
     prediction : ResultCache of Prediction
         Prediction of one case, without samples.
     interval : ResultCache of dict
-        Limits of 90 % intervals, see :meth:`~pcnde_bridge.Prediction.interval`.
+        Limits of 90 % intervals of the variables and, if there is a pressure, of drop and FFR,
+        see :meth:`~pcnde_bridge.Prediction.interval`.
     solution : ResultCache of Cases
         Solution of the 1D solver, see :meth:`solver_setup`.
     comparisons : dict of ResultCache
@@ -109,9 +113,7 @@ class Explorer:
         self.samples = samples if model.uncertainty is not None else 0
         self.choices = Choices(model)
         self.prediction: ResultCache[Prediction] = ResultCache(self._predict)
-        self.interval: ResultCache[Limits] = ResultCache(
-            lambda inputs: self._predict(inputs, self.samples).interval(0.9)
-        )
+        self.interval: ResultCache[Limits] = ResultCache(self._interval)
         self.solution: ResultCache[Cases] = ResultCache(self._solve)
         self.comparisons: dict[str, ResultCache[Any]] = {"solver": self.solution}
         if self.samples:
@@ -132,6 +134,27 @@ class Explorer:
             samples=samples,
             units="cgs",
         )
+
+    def _interval(self, inputs: Inputs) -> Limits:
+        found = self._predict(inputs, self.samples)
+        indices = {name: column.to_numpy() for name, column in found.indices().items()}
+        limits = {i: (indices[f"{i}_low"], indices[f"{i}_high"]) for i in INDICES}
+        return {**found.interval(0.9), **limits}
+
+    def indices(self, inputs: Inputs) -> dict[str, float]:
+        """Return drop (mmHg) and FFR, and as ``empirical`` the drop of Seeley and Young.
+
+        It is empty if the model predicts no pressure.
+        """
+        found, vessel = self.prediction(inputs), inputs.vessel
+        if found.pressure is None:
+            return {}
+        numbers = {name: float(found.indices()[name].iloc[0]) for name in INDICES}
+        narrowest = vessel.healthy_area * (1 - vessel.blockage)
+        length = max((stenosis.length for stenosis in vessel.stenoses), default=0.0)
+        shape = vessel.healthy_area, narrowest, length
+        drop = pressure_drop(found.flow[0, :, 0], *shape)
+        return numbers | {"empirical": float(np.mean(drop)) / MMHG}
 
     def solver_setup(self, inputs: Inputs) -> tuple[Tube1D, Windkessel]:
         """Return the 1D solver and an outlet with the wall and outlet that the model has learned.

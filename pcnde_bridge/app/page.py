@@ -20,6 +20,11 @@ LARGEST_UPLOAD = 1_000_000
 COMPARISONS = {"interval": "90 % interval", "solver": "1D solver"}
 """Titles of the results that the prediction can be compared with."""
 
+_DIFFERENCE = (
+    "The 1D solver has the model's outlet and wall, the friction of a parabolic profile, and the "
+    "loss of Seeley and Young spread over the stenosis. The model has learned its losses from 3D "
+    "simulations, so that the two differ most behind a severe stenosis."
+)
 _NO_LINE = Line(np.empty(0), np.empty(0))
 _DIGITS = 6  # far below the visible differences, so that little is sent
 _INK, _RULE, _AXIS = "#1f2933", "#e4e7eb", "#9aa5b1"
@@ -54,6 +59,7 @@ def layout(explorer: Explorer, name: str) -> html.Div:
     comparisons = {name: COMPARISONS[name] for name in explorer.comparisons}
     units = html.Small("units s, cm, mL/s, cm², dyn/cm²")
     aside = [
+        html.Div(id="numbers", role="status"),
         html.Div(id="novelty", role="status"),
         html.Div(id="message", role="alert"),
         *_controls(choices),
@@ -61,6 +67,7 @@ def layout(explorer: Explorer, name: str) -> html.Div:
             "Compare with",
             dcc.Checklist(comparisons, list(comparisons), inline=True, id="shown"),
             html.P(id="progress", className="hint"),
+            html.P(_DIFFERENCE, className="hint"),
         ),
         html.Button(["Download prediction (CSV)", units], id="download", n_clicks=0),
     ]
@@ -151,7 +158,10 @@ def _column(
         style={"--rows": len(explorer.variables)},
     )
     heading = html.Div([html.H3(id=f"{name}-title"), slider], className="place")
-    return html.Div([heading, graph], className="column")
+    # Names for assistive technology; page.js names the handles of the sliders.
+    name_of: dict[str, Any] = {"aria-labelledby": f"{name}-title"}
+    drawn = html.Div(graph, role="img", **name_of)
+    return html.Div([heading, drawn], className="column")
 
 
 def empty_figure(explorer: Explorer, abscissa: str) -> go.Figure:

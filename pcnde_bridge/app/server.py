@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import socket
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge.errors import InputError, PCNDEError
@@ -24,7 +26,7 @@ HOSTS = ("127.0.0.1", "localhost")
 """Host names to which the server answers."""
 
 
-def make_app(model: PCNDE, name: str) -> Dash:
+def make_app(model: PCNDE, name: str, url: str = "") -> Dash:
     """Create the page of a model, with its callbacks and access checks.
 
     Parameters
@@ -33,12 +35,19 @@ def make_app(model: PCNDE, name: str) -> Dash:
         Model on the JAX engine.
     name : str
         Name of the model, for the heading.
+    url : str
+        Address of the page behind a proxy, such as that of JupyterHub.
 
     Raises
     ------
     MissingExtraError
         If the extra ``app`` is not installed.
+    InputError
+        If the address is not usable.
     """
+    public = urlsplit(url)
+    if url and (public.scheme not in ("http", "https") or not public.hostname):
+        raise InputError(f"--url must be like https://hub.org/user/me/proxy/8050/, got {url!r}.")
     new_app = require("dash", "app").Dash
     from pcnde_bridge.app import callbacks, page
     from pcnde_bridge.app.explorer import Explorer
@@ -52,16 +61,18 @@ def make_app(model: PCNDE, name: str) -> Dash:
         serve_locally=True,
         title=f"PCNDE – {name}",
         update_title="",
+        routes_pathname_prefix="/",
+        requests_pathname_prefix=f"{public.path.rstrip('/')}/",
         on_error=callbacks.report,
     )
     app.index_string = app.index_string.replace("<html>", '<html lang="en">')
     app.layout = page.layout(explorer, name)
     callbacks.connect(app, explorer)
-    _restrict_access(app)
+    _restrict_access(app, [*HOSTS, public.hostname] if public.hostname else HOSTS)
     return app
 
 
-def _restrict_access(app: Dash) -> None:
+def _restrict_access(app: Dash, hosts: Sequence[str]) -> None:
     """Reject requests that another site makes through the browser.
 
     A site can let its own name point to this machine (DNS rebinding), but it cannot change
@@ -72,18 +83,18 @@ def _restrict_access(app: Dash) -> None:
 
     def check_host() -> None:
         origin = request.headers.get("Origin", f"http://{request.host}")
-        if not all(host_is_trusted(h, HOSTS) for h in (request.host, origin.partition("//")[2])):
+        if not all(host_is_trusted(h, hosts) for h in (request.host, origin.partition("//")[2])):
             abort(403, "This page is for this machine only; open it as http://127.0.0.1.")
 
     app.server.before_request(check_host)
 
 
-def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
+def make_server(model: PCNDE, name: str, port: int = 8050, url: str = "") -> BaseWSGIServer:
     """Create the server of a model's page, bound to its port; ``serve_forever`` runs it.
 
     Parameters
     ----------
-    model, name
+    model, name, url
         See :func:`make_app`.
     port : int
         0 selects any free port; it is the server's ``port``.
@@ -95,7 +106,7 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
     InputError
         If the port cannot be used.
     """
-    app = make_app(model, name)
+    app = make_app(model, name, url)
     from werkzeug import serving
 
     class Handler(serving.WSGIRequestHandler):
@@ -121,12 +132,12 @@ def make_server(model: PCNDE, name: str, port: int = 8050) -> BaseWSGIServer:
         ) from error
 
 
-def serve(model: PCNDE, name: str, port: int = 8050) -> None:
+def serve(model: PCNDE, name: str, port: int = 8050, url: str = "") -> None:
     """Serve a model's page until Ctrl-C.
 
     Parameters
     ----------
-    model, name, port
+    model, name, port, url
         See :func:`make_server`.
 
     Raises
@@ -134,8 +145,9 @@ def serve(model: PCNDE, name: str, port: int = 8050) -> None:
     MissingExtraError, InputError
         See :func:`make_server`.
     """
-    server = make_server(model, name, port)
+    server = make_server(model, name, port, url)
     # The page itself shows these.
     warnings.filterwarnings("ignore", category=OutsideTrainingWarning)
-    print(f"Explore {name} at http://{ADDRESS}:{server.port} (Ctrl-C ends).", flush=True)
+    where = url or f"http://{ADDRESS}:{server.port}"
+    print(f"Explore {name} at {where} (Ctrl-C ends).", flush=True)
     server.serve_forever()

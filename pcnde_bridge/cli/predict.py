@@ -161,13 +161,14 @@ def predict(
 def explore(
     model: Path = options.MODEL,
     port: int = option(8050, "Port on this machine; 0: any free port.", min=0, max=65535),
+    url: str = option("", "Address of the page behind a proxy, such as JupyterHub's."),
 ) -> None:
     """Explore a model on a web page, on this machine only."""
     from pcnde_bridge.app.server import serve
     from pcnde_bridge.model.pcnde import PCNDE
 
     # Julia computes in one thread only, but a server has several.
-    serve(PCNDE.load(model, "jax"), model.stem, port)
+    serve(PCNDE.load(model, "jax"), model.stem, port, url)
 
 
 def figures(

@@ -109,7 +109,7 @@ class Form(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """Checked input of the solver for some cases; the points are the faces of n cells.
+    """Checked input of the solver for several cases; the points are the faces of n cells.
 
     Attributes
     ----------

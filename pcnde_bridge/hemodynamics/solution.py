@@ -91,7 +91,7 @@ def _reason(problem: Problem, case: int, state: Any, column: int) -> str:
 
 
 def periodicity(problem: Problem, group: Any, last: list[Array], previous: list[Array]) -> Array:
-    """Distance of some cases to the periodic cycle, (case,).
+    """Distance of several cases to the periodic cycle, (case,).
 
     It is the largest relative change of flow, area and pressure from cycle to cycle, over
     the fraction of the distance that a cycle covers.
@@ -119,7 +119,7 @@ def _settling(problem: Problem, group: Any, area: Array) -> Array:
 
 
 def _wall_of(problem: Problem, places: Any) -> Any:
-    """Return the wall of some cases and points."""
+    """Return the wall of several cases and points."""
     parameters = problem.inputs.wall.items()
     return problem.form.wall.of({k: None if v is None else v[places] for k, v in parameters})
 

@@ -318,7 +318,7 @@ class Tube1D(TubeSettings):
         return function, problem.inputs
 
     def _run_group(self, problem: Problem, group: Any, state: Any) -> tuple[list[Any], Any, Any]:
-        """Return the last cycle of some cases with its accuracy, its end, and the failures."""
+        """Return the last cycle of several cases with its accuracy, its end, and the failures."""
         # The last case fills the group up to a power of two.
         size, count = 1 << (len(group) - 1).bit_length(), len(group)
         cases = np.append(group, np.full(size - count, group[-1]))

@@ -54,11 +54,17 @@ def data_set(train: Cases, test: Cases | None = None) -> Figure:
         ):
             for key in sorted(set(cases.labels[kind]) - drawn[kind]):
                 row = int(np.flatnonzero(cases.labels[kind] == key)[0])
-                axis.plot(x, curves[row], **_SUBSETS[subset] | {"marker": ""})
+                axis.plot(x, curves[row], gid=key, **_SUBSETS[subset] | {"marker": ""})
             drawn[kind] |= set(cases.labels[kind])
         places = cases.labels["waveform"], cases.labels["geometry"]
         matrix.plot(*places, ms=6, label=subset, **_SUBSETS[subset] | {"ls": "none"})
-    over_time.set(xlabel=style.TIME_LABEL, ylabel="inflow Q_in (mL/s)")
+    for axis, kind in ((over_time, "waveform"), (along, "geometry")):
+        keys = sorted(drawn[kind])
+        shown = {line.get_gid(): np.asarray(line.get_ydata()) for line in axis.lines}
+        abscissa = np.asarray(axis.lines[0].get_xdata())
+        style.label_curves(axis, abscissa, np.array([shown[key] for key in keys]), keys)
+        axis.set_title(f"numbers: {kind}", fontsize=8)
+    over_time.set(xlabel=style.TIME_LABEL, ylabel="inflow $Q_{in}$ (mL/s)")
     along.set(xlabel=style.SPACE_LABEL, ylabel="undeformed radius (mm)")
     along.set_ylim(bottom=0)
     matrix.set(xlabel="waveform", ylabel="geometry")
@@ -159,7 +165,7 @@ def results(
     -------
     matplotlib.figure.Figure
         A row for each variable, over time (left) and space (right).  Black lines in
-        the area enclose the points that its error includes.
+        the area enclose the points that its error includes; numbers at the flow are waveforms.
 
     Raises
     ------
@@ -186,6 +192,9 @@ def results(
         if cases.n_points > 2 * AREA_MARGIN:
             for edge in (cases.z[AREA_MARGIN], cases.z[-1 - AREA_MARGIN]):
                 over_space.axvline(edge, color="black", lw=0.8)
+    if "flow" in rows:
+        (axis, x, cut), _ = rows["flow"]
+        style.label_curves(axis, x, cases.flow[cut], cases.labels["waveform"])
     style.letter_panels(figure.axes[::2])
     style.add_legend(figure, figure.axes[0])
     return figure

@@ -36,8 +36,8 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
     Returns
     -------
     matplotlib.figure.Figure
-        A panel for each variable with the errors in percent; a row for each geometry,
-        a column for each waveform.
+        A panel for each variable with the errors in percent, on one color scale; a row for
+        each geometry, with its blockage, and a column for each waveform.
 
     Raises
     ------
@@ -49,10 +49,11 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
     rows, columns = next(iter(matrices.values())).shape
     width = len(matrices) * max(_CELL * columns + 0.5, _NARROWEST) + 0.3
     figure, axes = style.new_figure(width, _CELL * rows + 0.85, 1, len(matrices), grid=None)
+    largest = 100 * max(np.nanmax(matrix) for matrix in matrices.values())
     for axis, (name, matrix) in zip(axes[0], matrices.items(), strict=True):
         percent = 100 * matrix.to_numpy()
-        largest = np.nanmax(percent)
-        axis.imshow(percent, cmap=style.ERROR_COLORS, vmin=0, vmax=largest, aspect="equal")
+        look = {"cmap": style.ERROR_COLORS, "vmin": 0, "vmax": largest}
+        image = axis.imshow(percent, aspect="equal", **look)
         for (row, column), value in np.ndenumerate(percent):
             if np.isfinite(value):
                 color = "white" if value > 0.62 * largest else "black"
@@ -65,6 +66,12 @@ def error_matrix(matrices: Mapping[str, pd.DataFrame], training: Cases | None = 
         if training is not None:
             _frame(axis, matrix, training)
     axes[0, 0].set_ylabel("geometry")
+    blockage = matrix.attrs.get("blockage", {})
+    percents = [f"{100 * blockage[key]:.0f} %" if key in blockage else "" for key in matrix.index]
+    right = axes[0, -1].secondary_yaxis("right")
+    right.set_yticks(range(rows), percents)
+    right.tick_params(labelsize=8)
+    figure.colorbar(image, ax=axes, pad=0.02).set_label("relative error (%)", fontsize=8)
     return figure
 
 
@@ -165,4 +172,6 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
         axis.set_title(style.QUANTITIES[name].name, fontsize=10)
     axes[0, 0].set_ylim(bottom=0)  # of all panels
     axes[0, 0].set_ylabel("pointwise relative error (%)")
+    note = "line: median; box: quartiles; whiskers: within 1.5 box heights; cross: largest"
+    figure.supxlabel(note, fontsize=8)
     return figure

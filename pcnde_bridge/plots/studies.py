@@ -51,7 +51,7 @@ def pressure_drops(drops: studies.PressureDrops, *, truth_label: str = "3D, aver
     -------
     matplotlib.figure.Figure
         All waveforms in the largest geometry label (a), and all geometries with the
-        largest waveform label (b).
+        largest waveform label (b); numbers are the labels of the truth.
     """
     labels = drops.cases.labels
     figure, axes = style.new_figure(7.2, 3.3, 1, 2)
@@ -65,6 +65,8 @@ def pressure_drops(drops: studies.PressureDrops, *, truth_label: str = "3D, aver
             (drops.predicted, "PCNDE", style.MODEL_LINE),
         ):
             style.plot_curves(axis, drops.cases.time, values[rows] / MMHG, label, look)
+        names = labels["waveform" if fixed == "geometry" else "geometry"][rows]
+        style.label_curves(axis, drops.cases.time, drops.truth[rows] / MMHG, names)
         axis.set_title(f"{fixed} {largest}, {rows.sum()} {varied[fixed]}", loc="left")
         axis.set_xlabel(style.TIME_LABEL)
     axes[0, 0].set_ylabel("pressure drop Δp (mmHg)")

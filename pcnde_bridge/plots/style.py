@@ -163,6 +163,17 @@ def plot_curves(axis: Axes, x: Array, curves: Array, label: str, look: Mapping[s
     lines[0].set_label(label)
 
 
+def label_curves(axis: Axes, x: Array, curves: Array, names: Iterable[Any]) -> None:
+    """Write the names of curves (curve, x) where they differ most, as far as there is space."""
+    at = int(np.ptp(curves, axis=0).argmax())
+    space, taken = 0.045 * float(np.ptp(curves)), np.empty(0)
+    for value, name in zip(curves[:, at], names, strict=True):
+        if (np.abs(taken - value) >= space).all():
+            taken = np.append(taken, value)
+            look: dict[str, Any] = {"xytext": (4, 0), "fontsize": 7, "va": "center"}
+            axis.annotate(str(name), (x[at], value), textcoords="offset points", **look)
+
+
 def add_legend(figure: Figure, axis: Axes, *, below: bool = False) -> None:
     """Add the legend of one panel above or below all panels of a figure."""
     handles, labels = axis.get_legend_handles_labels()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,8 @@ _STAGES = {
     "flow": ("flow", "mL²/s²"),
     "intermediate_area": ("intermediate area", "cm⁴"),
     "fourier_area": ("Fourier area", "cm⁴"),
-    "temporal_pressure": ("temporal pressure", "p_ref²"),
-    "spatial_pressure": ("spatial pressure", "p_ref²"),
+    "temporal_pressure": ("temporal pressure", "$p_{ref}^2$"),
+    "spatial_pressure": ("spatial pressure", "$p_{ref}^2$"),
     "losses": ("losses", "relative"),
     "wall": ("wall", "relative"),
     "correction": ("correction", "scaled"),
@@ -51,7 +51,7 @@ def loss_history(history: pd.DataFrame) -> Figure:
     InputError
         If the history is empty.
     """
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
     stages = [stage for stage in _STAGES if (history["stage"] == stage).any()]
     if not stages:
@@ -68,9 +68,12 @@ def loss_history(history: pd.DataFrame) -> Figure:
             axis.set_xlim(0, 2)
         if (loss > 0).all() and loss.max() > 10 * loss.min():
             axis.set_yscale("log")
+            axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+            axis.yaxis.set_minor_formatter(NullFormatter())
         else:
             axis.ticklabel_format(axis="y", useOffset=False, scilimits=(-2, 3))
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axis.yaxis.set_major_locator(MaxNLocator(4))
+        axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         title, unit = _STAGES[stage]
         axis.set_title(title, fontsize=10)
         axis.set(xlabel="iteration", ylabel=f"loss ({unit})")
@@ -84,7 +87,8 @@ def _plot_losses(axis: Axes, fits: pd.DataFrame) -> None:
     if fits["batch"].nunique() > 1 and len(fits) >= _LONG_FIT * batches.ngroups:
         lines = [fit for _, fit in batches]
     elif fits["batch"].nunique() > 1:
-        axis.plot(fits["number"], fits["loss"], ".", ms=4, alpha=0.4, mec="none", color=color)
+        look: dict[str, Any] = {"ms": 4, "alpha": 0.4, "mec": "none", "label": "iteration"}
+        axis.plot(fits["number"], fits["loss"], ".", color=color, **look)
         # Mean over the batches of the last loss in each epoch.
         ends = batches.last().groupby("epoch")
         lines, color = [ends.agg({"number": "max", "loss": "mean"})], style.TRUTH
@@ -92,6 +96,9 @@ def _plot_losses(axis: Axes, fits: pd.DataFrame) -> None:
         # A line would not show a single loss.
         mark = "o" if len(line) == 1 else "-"
         axis.plot(line["number"], line["loss"], mark, lw=1.6, ms=4, color=color)
+    if color == style.TRUTH:
+        axis.lines[-1].set_label("mean of the batches at the end of an epoch")
+        axis.legend(frameon=False, fontsize=7)
 
 
 def activations(study: pd.DataFrame) -> Figure:

@@ -33,14 +33,19 @@ def error_matrix(predicted: Mapping[str, Array], cases: Cases) -> dict[str, pd.D
     -------
     dict of str to DataFrame
         For each variable, indexed by ``geometry``, with a column for each ``waveform``,
-        both in increasing order; NaN where there is no such case.
+        both in increasing order; NaN where there is no such case.  Its ``attrs`` hold the
+        ``blockage`` of each geometry.
     """
     table = error_table(predicted, cases).drop(index=(POOLED, POOLED))
-    return {
+    matrices = {
         str(name): table[name].unstack("waveform").sort_index().sort_index(axis=1)
         for name in predicted
         if name in table
     }
+    blockage = cases.labels.groupby("geometry")["blockage"].first().to_dict()
+    for matrix in matrices.values():
+        matrix.attrs["blockage"] = blockage
+    return matrices
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -45,7 +45,7 @@ FORMULATIONS: tuple[Formulation, ...] = ("spatial", "temporal", "temporal_with_t
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FormulationResult(Displayed):
-    """Flow and areas of one formulation for some cases.
+    """Flow and areas of one formulation for several cases.
 
     Attributes
     ----------

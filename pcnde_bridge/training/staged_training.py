@@ -1,4 +1,4 @@
-"""Training of the paper's networks: flow and area in turns, coupled, then the pressure."""
+"""Training of the paper's networks: flow and area alternately, coupled, then the pressure."""
 
 from __future__ import annotations
 

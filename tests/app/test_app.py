@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import io
+import json
 import re
 import socket
 import sys
@@ -292,6 +293,40 @@ def test_only_host_names_of_this_machine_are_answered(client, headers, code):
         assert client.get(path, headers=headers).status_code == code
     if code == 403:
         assert client.post("/_dash-update-component", headers=headers).status_code == 403
+
+
+def test_a_page_behind_a_proxy_answers_its_address_and_names_its_files(model):
+    pytest.importorskip("dash", reason="the extra app is not installed")
+    url = "https://hub.example/user/me/proxy/8050/"
+    client = server.make_app(model, "model", url).server.test_client()
+    page = client.get("/", headers={"Host": "hub.example", "Origin": "https://hub.example"})
+    assert page.status_code == 200
+    assert "/user/me/proxy/8050/_dash-component-suites/" in page.text
+    assert client.get("/_dash-layout", headers={"Host": "localhost"}).status_code == 200
+    assert client.get("/", headers={"Host": "rebound.example"}).status_code == 403
+    for wrong in ("hub.example/user", "/user/me", "ftp://hub.example/"):
+        with pytest.raises(InputError, match="--url must be like https://"):
+            server.make_app(model, "model", wrong)
+
+
+def test_drop_and_ffr_are_shown_with_intervals_and_seeley_and_young(client, explorer):
+    inputs = explorer.choices.inputs(0.5, 1.0, position=2.0, length=0.5)
+    expected = explorer.prediction(inputs).indices().iloc[0]
+    numbers = explorer.indices(inputs)
+    assert numbers["ffr"] == pytest.approx(expected["ffr"])
+    assert numbers["empirical"] > 0
+    low, high = (limit[0] for limit in explorer.interval(inputs)["ffr"])
+    assert low < numbers["ffr"] < high
+    shown = json.dumps(ask(client).json, ensure_ascii=False)
+    assert f"FFR {expected['ffr']:.3f}" in shown
+    assert f"Drop of Seeley and Young: {numbers['empirical']:.2f} mmHg" in shown
+
+
+def test_graphs_have_names(client):
+    layout = json.dumps(client.get("/_dash-layout", headers={"Host": "localhost"}).json)
+    for name in ("along-title", "over-title"):
+        assert f'"aria-labelledby": "{name}"' in layout
+    assert "the two differ most behind a severe stenosis" in layout
 
 
 def ask(client, **changes):

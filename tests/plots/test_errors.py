@@ -18,7 +18,12 @@ def test_error_matrix(small_cases, predicted):
     train = small_cases.split("paper").train
     matrices = error_matrix(predicted, small_cases)
     figure = fits(plots.error_matrix(matrices, train))
-    assert len(figure.axes) == 3
+    assert len(figure.axes) == 4  # with the color bar
+    assert figure.axes[3].get_ylabel() == "relative error (%)"
+    limits = {axis.images[0].get_clim() for axis in figure.axes[:3]}
+    assert limits == {(0, 100 * max(matrix.to_numpy().max() for matrix in matrices.values()))}
+    [right] = figure.axes[2].child_axes
+    assert [tick.get_text() for tick in right.get_yticklabels()] == ["40 %", "50 %", "60 %"]
     axis = figure.axes[1]
     assert axis.get_title() == "area S: relative error (%)"
     assert (axis.get_xlabel(), figure.axes[0].get_ylabel()) == ("waveform", "geometry")
@@ -80,5 +85,6 @@ def test_box_plots(small_cases, predicted):
     np.testing.assert_allclose(medians[:, 0], [1.0, 10.0])
     crosses = [line.get_ydata()[0] for line in pressure.lines if line.get_marker() == "x"]
     assert crosses == pytest.approx([100 * statistics.loc[("pressure", "PCNDE"), "largest"]])
+    assert "whiskers: within 1.5 box heights" in figure.get_supxlabel()
     with pytest.raises(InputError, match="no errors"):
         plots.box_plots(statistics.iloc[:0])

@@ -30,3 +30,12 @@ def test_color_blind_readers_can_distinguish_the_curves_of_a_figure(seen):
             assert np.linalg.norm(colors[i] - colors[j]) > 0.2
         # Line styles differ, too.
         assert len({look["ls"] for look in looks}) == 3
+
+
+def test_curves_are_named_where_there_is_space():
+    _, [[axis]] = style.new_figure(3, 3)
+    x = np.linspace(0, 1, 11)
+    curves = np.outer([0.0, 1.0, 1.001, 2.0], np.sin(np.pi * x))
+    style.label_curves(axis, x, curves, [1, 2, 3, 4])
+    assert [text.get_text() for text in axis.texts] == ["1", "2", "4"]
+    assert axis.texts[2].xy == (0.5, pytest.approx(2.0))

@@ -83,6 +83,14 @@ def test_a_single_iteration_is_a_point(loss):
     assert all(tick == int(tick) for tick in ticks)
 
 
+def test_dots_and_their_mean_have_a_legend():
+    rows = [("flow", e, batch, 1, batch / e, 0.1) for e in (1, 2, 3) for batch in (1, 3)]
+    assert texts(axis_of(rows).get_legend()) == [
+        "iteration",
+        "mean of the batches at the end of an epoch",
+    ]
+
+
 def test_the_mean_of_a_single_epoch_is_a_point():
     axis = axis_of([("flow", 1, batch, 1, float(batch), 0.1) for batch in (1, 3)])
     assert_seen(axis, 2, 2.0)

@@ -22,5 +22,18 @@
     box.dispatchEvent(new Event("input", { bubbles: true }));
   });
 
+  // Sliders and their number boxes have the name of their label, or of their column.
+  const name = () => {
+    for (const slider of document.querySelectorAll(".dash-slider-container")) {
+      const place = slider.closest(".control, .place");
+      const label = place && place.querySelector("label, h3");
+      for (const part of slider.querySelectorAll("[role=slider], input")) {
+        if (label && part.getAttribute("aria-label") !== label.textContent)
+          part.setAttribute("aria-label", label.textContent);
+      }
+    }
+  };
+  new MutationObserver(name).observe(document, { childList: true, subtree: true });
+
   window.dash_clientside = Object.assign({}, window.dash_clientside, { pcnde: { settled } });
 })();

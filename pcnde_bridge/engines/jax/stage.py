@@ -159,7 +159,7 @@ def in_batches(compute: Callable[[Inputs], Inputs], arrays: StageInputs) -> Stag
     Parameters
     ----------
     compute : callable
-        Maps arrays of some cases to results, of which the first, (case, time, z), is not finite
+        Maps arrays of several cases to results, of which the first, (case, time, z), is not finite
         in cases that could not be solved.
     arrays : tuple of arrays of shape (case, ...)
         All cases.
