@@ -185,9 +185,9 @@ class Parameters(ParameterVectors):
 def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: int) -> Parameters:
     """Create the parameters before training.
 
-    Networks start Glorot-uniform with zero bias; â = a = 1 and b̂ = b = 0, which
-    is the continuity equation itself; a₁ = a₂ = b₁ = 0 and b₂ = 1, which is the
-    empirical pressure drop itself.
+    Networks start Glorot-uniform with zero bias, but the last layer of the pressure network
+    starts at zero, so that p̂ = p_ref; â = a = 1 and b̂ = b = 0, which is the continuity
+    equation itself; a₁ = a₂ = b₁ = 0 and b₂ = 1, which is the empirical pressure drop itself.
 
     Parameters
     ----------
@@ -204,11 +204,13 @@ def initial_parameters(config: PCNDEConfig, n_times: int, n_points: int, seed: i
         rng = np.random.default_rng([seed, STAGES.index(stage), 0])
         return _glorot(layer_sizes(stage, config, n_times, n_points), rng)
 
+    temporal_pressure = network("temporal_pressure")
+    temporal_pressure[-(config.temporal_pressure.hidden[-1] + 1) * n_points :] = 0
     return Parameters(
         flow=network("flow"),
         intermediate_area=correction,
         fourier_area=correction,
-        temporal_pressure=network("temporal_pressure"),
+        temporal_pressure=temporal_pressure,
         spatial_pressure=np.concatenate([np.zeros(2 + n_times), np.ones(n_times)]),
     )
 

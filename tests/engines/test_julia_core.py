@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -35,6 +36,16 @@ def test_julias_own_tests_pass():
     )
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     assert "Pass" in done.stdout
+
+
+def test_the_cores_tests_load_packages_through_the_core_only():
+    """A project has the other packages only indirectly; static checks are optional."""
+    loaded = {
+        name
+        for file in _TESTS.parent.glob("*.jl")
+        for name in re.findall(r"^using (\w+)", file.read_text(), re.MULTILINE)
+    }
+    assert loaded == {"PCNDECore", "Test"}
 
 
 _ONE_CASE_FAILS = """

@@ -20,7 +20,9 @@ from pcnde_bridge.model.metrics import relative_error
 pytestmark = pytest.mark.julia
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-14, "max_steps": 16384}
-SMALL = PAPER.replace(flow={"hidden": (2,), "rtol": 1e-10, "atol": 1e-12, "max_steps": 4096})
+# With equal steps both paths compute the same; with adaptive ones, the kinks of S at the points
+# amplify the difference of the controllers.
+SMALL = PAPER.replace(flow={"hidden": (2,), "steps": 20})
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def problem(cases, config):
 
 def test_a_fit_takes_the_path_of_the_libraries(stages, small_cases):
     data = problem(small_cases, SMALL)
-    fast, reference = (stage.fit(data[0], FitData(*data[1:]), 3) for stage in stages)
+    fast, reference = (stage.fit(data[0], FitData(*data[1:]), 5) for stage in stages)
     np.testing.assert_allclose(fast.losses, reference.losses, rtol=1e-8)
     assert difference(fast.parameters, reference.parameters) < 1e-6
     vector, inputs, _, *settings = data
@@ -52,7 +54,7 @@ def test_a_fit_takes_the_path_of_the_libraries(stages, small_cases):
 def test_the_reference_engine_predicts(small_cases):
     engine, reference = (select_engine(name) for name in ("julia", "julia-reference"))
     assert pickle.loads(pickle.dumps(reference)) is reference  # noqa: S301
-    cases, config = small_cases.select(slice(0, 2)), SMALL
+    cases, config = small_cases.select(slice(0, 2)), PAPER.replace(flow={"hidden": (2,), **TIGHT})
     parameters = initial_parameters(config, cases.n_times, cases.n_points, seed=0)
     inputs = ModelInputs(cases.inflow, cases.area_undeformed, cases.grid)
     for fast, slow in zip(
@@ -84,11 +86,12 @@ def test_published_weights(stages, published_cases, published_folder, settings, 
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_the_first_batch_of_preset_paper(stages, published_cases):
+@pytest.mark.parametrize(("settings", "limit"), [({}, 1e-6), ({"steps": 10}, 1e-8)])
+def test_the_first_batch_of_preset_paper(stages, published_cases, settings, limit):
     train = published_cases.split("paper").train
     first = np.random.default_rng(0).permutation(train.n_cases)[: PAPER.batch_size]
-    data = problem(train.select(first), PAPER)
+    data = problem(train.select(first), PAPER.replace(flow=settings))
     fast, reference = (loss_and_gradient_of(stage, *data)[1] for stage in stages)
-    assert difference(fast, reference) < 1e-6
+    assert difference(fast, reference) < limit
     fast, reference = (stage.fit(data[0], FitData(*data[1:]), 5).losses for stage in stages)
-    np.testing.assert_allclose(fast, reference, rtol=1e-6)
+    np.testing.assert_allclose(fast, reference, rtol=limit)

@@ -67,7 +67,13 @@ def test_networks_start_glorot_uniform_with_zero_bias(stage):
     config = PAPER.replace(flow={"hidden": (40, 50)}, temporal_pressure={"hidden": (40, 50)})
     widths = layer_sizes(stage, config, 30, 20)
     vector = getattr(initial_parameters(config, 30, 20, seed=0), stage)
-    for weight, bias in layers(vector, widths):
+    found = layers(vector, widths)
+    if stage == "temporal_pressure":  # p̂ = p_ref at first
+        last_weight, last_bias = found.pop()
+        assert last_weight.size
+        assert not last_weight.any()
+        assert not last_bias.any()
+    for weight, bias in found:
         limit = np.sqrt(6 / sum(weight.shape))
         assert np.abs(weight).max() <= limit
         assert np.abs(weight).max() > 0.95 * limit
