@@ -201,7 +201,8 @@ class PCNDE(Predictor):
         """Return the equations as a pure JAX function, and the trained parameters.
 
         The function may be used under ``jit``, ``vmap`` and ``grad``.  It checks nothing and
-        needs ``jax_enable_x64``.
+        needs ``jax_enable_x64``.  The derivative by the area is one-sided where the area is
+        constant along z, because the losses of narrowing and widening flow differ.
 
         Parameters
         ----------
