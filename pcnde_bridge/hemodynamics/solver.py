@@ -26,7 +26,9 @@ linear, so each stage's areas are eliminated, and Newton's method solves a
 tridiagonal system in the flows alone.
 
 **Accuracy.**  With the default 101 points and 500 steps, the paper's vessels and
-waveforms are computed to 1e-5 of the flow and 1e-3 of the pressure.
+waveforms are computed to 1e-5 of the flow and 1e-3 of the pressure, in the norm over a case and
+up to a blockage of 85 %.  Single points near the throat have errors of the pressure of 1e-3
+at a blockage of 70 %, 6e-3 at 85 % and 2e-2 at 90 %; they are of second order in Δz.
 
 **Batches.**  All cases of a batch advance together in one program compiled by JAX
 (float64).  Units are CGS throughout.
