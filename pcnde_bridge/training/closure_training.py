@@ -87,8 +87,11 @@ class ClosureTraining(Procedure[ClosureState]):
         return [*(Step(name) for name in CLOSURES), *members]
 
     def count_iterations(self, _: ClosureState) -> int:
-        """Return the largest possible number of iterations."""
-        return 3 * self.config.correction.evaluations + len(self.left_out) * self._few
+        """Return the usual number of iterations: most fits end long before their limit."""
+        most = self.config.correction.evaluations
+        return sum(min(most, usual) for usual in (10, 6, 10)) + len(self.left_out) * min(
+            self._few, 5
+        )
 
     @property
     def _few(self) -> int:

@@ -29,11 +29,24 @@ class TrainingProgress(ProgressDisplay):
         columns = (*fields, TimeElapsedColumn(), TextColumn("<"), TimeRemainingColumn())
         super().__init__("training", total, done, columns, console=console, loss="-", fits="")
         self._fits, self._converged = 0, 0
+        self._begun: set[str] = set()
 
     def __exit__(self, kind: type[BaseException] | None, *details: object) -> None:
         if kind is None:
             self._bar.update(self._task, completed=self._total)
         super().__exit__(kind, *details)
+
+    def on_step(self, task: str) -> None:
+        """Show a task that begins: its functions are compiled before the first iteration."""
+        if task in self._begun:
+            return
+        self._begun.add(task)
+        line = f"{task.replace('_', ' ')}: compiling"
+        self._bar.update(self._task, description=line)
+        if self._draws:
+            self._bar.refresh()
+        else:
+            self._print(line)
 
     def on_fit_end(self, outcome: str) -> None:
         """Count a fit that has ended, with its outcome as the history has it."""
@@ -44,10 +57,12 @@ class TrainingProgress(ProgressDisplay):
     def __call__(self, iteration: Iteration) -> None:
         """Count one iteration."""
         self._done += 1
+        self._total = max(self._total, self._done)
         now = time.monotonic()
         stage, loss = iteration.stage.replace("_", " "), f"{iteration.loss:.3e}"
         where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
-        self._bar.update(self._task, completed=self._done, description=where, loss=loss)
+        self._bar.update(self._task, completed=self._done, total=self._total)
+        self._bar.update(self._task, description=where, loss=loss)
         if not self._is_due(now, _DRAW_EVERY):
             return
         if self._draws:

@@ -37,10 +37,11 @@ def staged_training(cases: Cases, config: PCNDEConfig, engine: Engine) -> Staged
 
 
 class Session(NamedTuple):
-    """Callbacks of one or more runs: after each iteration, and with each fit's outcome."""
+    """Callbacks of one or more runs: each iteration, each fit's outcome, each step's task."""
 
     on_iteration: OnIteration
     on_fit_end: Callable[[str], None]
+    on_step: Callable[[str], None] = ignore
 
 
 @contextmanager
@@ -68,7 +69,11 @@ def training_session(progress: bool | OnIteration, total: int, done: int = 0) ->
             if callable(report):
                 report(iteration)
 
-        yield Session(on_iteration, bar.on_fit_end if bar else ignore)
+        yield (
+            Session(on_iteration, bar.on_fit_end, bar.on_step)
+            if bar
+            else Session(on_iteration, ignore)
+        )
 
 
 class Trainer(Generic[State]):
@@ -82,9 +87,9 @@ class Trainer(Generic[State]):
         File that stores the state: read if it exists, written after each epoch of a task,
         and when training is interrupted
         (:class:`~pcnde_bridge.training.checkpoint.Checkpoint`).
-    on_iteration, on_fit_end : callable
-        Called with every :class:`~pcnde_bridge.training.history.Iteration`, and with the
-        outcome of every fit.
+    on_iteration, on_fit_end, on_step : callable
+        Called with every :class:`~pcnde_bridge.training.history.Iteration`, with the outcome of
+        every fit, and with the task of every step.
     """
 
     def __init__(
@@ -93,11 +98,12 @@ class Trainer(Generic[State]):
         checkpoint: StrPath | None = None,
         on_iteration: OnIteration = ignore,
         on_fit_end: Callable[[str], None] = ignore,
+        on_step: Callable[[str], None] = ignore,
     ) -> None:
         self._procedure = procedure
         self._checkpoint = None if checkpoint is None else Checkpoint(checkpoint, procedure)
         self._save = ignore if self._checkpoint is None else self._checkpoint.write
-        self._callbacks = Session(on_iteration, on_fit_end)
+        self._callbacks = Session(on_iteration, on_fit_end, on_step)
 
     def fit(self, seed: int, progress: bool | OnIteration = True) -> State:
         """Run all steps, from the start or from the checkpoint; see :meth:`complete`.
@@ -155,7 +161,8 @@ class Trainer(Generic[State]):
         began = time.perf_counter() - state.seconds
         try:
             for step in steps[state.finished : until]:
-                recorder = Recorder(began, *self._callbacks)
+                self._callbacks.on_step(step.task)
+                recorder = Recorder(began, *self._callbacks[:2])
                 state = self._procedure.fit(step, state, recorder)
                 history = (*state.history, *recorder.iterations)
                 state = replace(state, finished=state.finished + 1, history=history)

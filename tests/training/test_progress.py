@@ -103,6 +103,31 @@ def test_converged_fits_are_counted(clock, monkeypatch):
     assert "converged 1/1" in console.file.getvalue()
 
 
+def test_compilation_is_announced_once_for_each_task(clock):
+    console = log()
+    with TrainingProgress(5, console=console) as bar:
+        for task in ("flow", "flow", "temporal_pressure"):
+            bar.on_step(task)
+            bar(record(1))
+    assert console.file.getvalue().splitlines() == [
+        "flow: compiling",
+        "temporal pressure: compiling",
+    ]
+    console = Console(file=io.StringIO(), force_terminal=True, width=200, color_system=None)
+    with TrainingProgress(5, console=console) as bar:
+        bar.on_step("flow")
+        assert "flow: compiling" in console.file.getvalue()
+
+
+def test_more_iterations_than_usual_raise_the_total(clock, monkeypatch):
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(2, console=console) as bar:
+        for number in (1, 2, 3):
+            bar(record(number))
+    assert "iteration 3 of 3" in console.file.getvalue()
+
+
 def test_a_short_run_leaves_the_log_empty(clock):
     console = log()
     with TrainingProgress(5, console=console) as bar:
@@ -140,11 +165,12 @@ def test_a_session_shows_a_bar_or_calls_the_callers_function_or_does_nothing(mon
     monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     heard = []
     for listener, words in (
-        (True, "flow, epoch 1: iteration 1 of 3"),
+        (True, "flow: compiling\nflow, epoch 1: iteration 1 of 3"),
         (heard.append, ""),
         (False, ""),
     ):
-        with training_session(listener, 3) as (on_iteration, on_fit_end):
+        with training_session(listener, 3) as (on_iteration, on_fit_end, on_step):
+            on_step("flow")
             on_iteration(record(1))
             on_fit_end("converged: gradient tolerance")
         said = capsys.readouterr()
