@@ -63,7 +63,9 @@ def start(form: Form, inputs: Inputs, narrowings: Narrowings, blood: Blood) -> S
     outlet = form.outlet.initial_state(inputs.outlet, pressure)
     rest = Fields(area, flow, jnp.concatenate(outlet, axis=1).T)
     slope = jax.tree.map(jnp.zeros_like, rest)
-    return State(rest, slope, flow, inputs.inlet[:, -1], flow[0], jnp.full((2, len(pressure)), -1))
+    # Without its type, an integer would be another one after the first cycle: two compilations.
+    failed_at = jnp.full((2, len(pressure)), -1, dtype=int)
+    return State(rest, slope, flow, inputs.inlet[:, -1], flow[0], failed_at)
 
 
 @partial(jax.jit, static_argnames="form")
