@@ -476,7 +476,7 @@ def test_other_cases_are_returned_when_one_diverges():
     solution = tube.run(problem)
     assert list(solution.failures) == [1]
     assert "Case 1" in solution.failures[1]
-    assert solution.cases.labels["geometry"].tolist() == [0, 2]
+    assert solution.cases.labels["geometry"].tolist() == [1, 3]
     np.testing.assert_array_equal(solution.cases.inflow[:, 0], [0.5, 0.6])
     with pytest.raises(SolveError, match="Case 1"):
         solution.check()
