@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.validation import check_increasing, listed
+from pcnde_bridge._utils.validation import check_increasing, listed, naming
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.plausibility import check_samples
 from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
@@ -125,6 +126,8 @@ def read_cycle(
     if abs(span - period) <= 1e-3 * steps.min():
         time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
     if time_points is not None:
+        with naming(path):
+            check_samples("the flow", columns.to_numpy(), time, "case")
         at = start + np.arange(time_points) * (period / time_points)
         terms = min(60, (time_points - 1) // 2)  # harmonics that these time points can hold
         return period, columns.apply(

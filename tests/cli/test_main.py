@@ -260,11 +260,12 @@ def _json(folder, value):
 
 def test_evaluate(folder, tmp_path, run, small_model, small_cases, small_split):
     as_json, as_csv = tmp_path / "e.json", tmp_path / "e.csv"
-    code, printed, _ = run(
+    code, printed, err = run(
         "evaluate", folder / "model.pcnde", folder / "cases.npz", "--split",
         folder / "split.json", "--json", as_json, "--csv", as_csv, "--engine", "jax",
     )  # fmt: skip
     assert code == 0
+    assert "new to the model" not in err
     found = json.loads(as_json.read_text())
     split = small_cases.split(small_split)
     assert list(found) == ["train", "test"]
@@ -293,6 +294,13 @@ def test_evaluate_without_a_split(folder, tmp_path, run, small_model, small_case
         assert code == 0
         assert "All 12 cases are evaluated" in err
         assert json.loads(as_json.read_text()) == {"all": expected}
+
+
+def test_evaluate_tells_test_cases_that_trained_the_model(folder, run):
+    model, cases = folder / "model.pcnde", folder / "cases.npz"
+    code, _, err = run("evaluate", model, cases, "--split", "geometry=1", "--engine", "jax")
+    assert code == 0
+    assert "4 test cases may not be new to the model" in err
 
 
 def test_bench_with_a_wall_shear_stress(folder, tmp_path, run, small_model, sheared_cases):

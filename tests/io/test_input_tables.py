@@ -329,3 +329,12 @@ def test_messages_for_a_model_of_any_grid(tmp_path):
         read("t,Q\n0,1\n0.3,1\n0.5,1\n0.75,1\n")
     with pytest.raises(InputError, match=r"correct --period. This looks like ms: pass --units"):
         read("t,Q\n0,1\n250,2\n500,1\n750,1\n", period=1.0)
+
+
+def test_a_damaged_sample_is_found_before_it_is_interpolated(tmp_path):
+    path, time = tmp_path / "inflow.csv", np.arange(1000) / 1000
+    flow = 1.3 + np.cos(2 * np.pi * time)
+    flow[300] *= 1.5
+    pd.DataFrame({"time": time, "a": flow}).to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"inflow\.csv: the flow is .* at 0\.3 s .*, case 0"):
+        read_cycle(path, 0.0, 1.0, time_points=100)
