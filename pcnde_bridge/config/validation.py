@@ -58,19 +58,9 @@ def layer_widths(*default: int) -> Any:
 class Section(Displayed):
     """Group of settings: a frozen dataclass whose values are checked when it is created."""
 
-    def _changes(self) -> dict[str, Any]:
-        """Return the settings that differ from the defaults, those of groups in mappings."""
-        mine, default = self.to_dict(), type(self)().to_dict()
-        return {
-            name: {k: v for k, v in value.items() if v != default[name][k]}
-            if isinstance(value, dict)
-            else value
-            for name, value in mine.items()
-            if value != default[name]
-        }
-
     def __repr__(self) -> str:
-        changes = ", ".join(f"{name}={value!r}" for name, value in self._changes().items())
+        values = [(f, getattr(self, f.name)) for f in dataclasses.fields(self)]  # type: ignore[arg-type]
+        changes = ", ".join(f"{f.name}={value!r}" for f, value in values if value != f.default)
         return f"{type(self).__name__}({changes})"
 
     def _rows(self) -> list[str]:

@@ -7,6 +7,7 @@ import pytest
 from helpers import made_by_the_closures
 
 from pcnde_bridge import FAST, PAPER, PHYSICS, PRESETS, PCNDEConfig
+from pcnde_bridge.config import settings
 from pcnde_bridge.hemodynamics import Stenosis, Vessel, Waveform, coronary
 from pcnde_bridge.studies import pressure_drops
 
@@ -55,7 +56,7 @@ def test_a_configuration_shows_what_differs_and_can_be_read_again():
     assert repr(PAPER) == "PCNDEConfig()"
     assert repr(FAST.flow) == "FlowStage(steps=12)"
     for config in (*PRESETS.values(), PHYSICS.replace(correction={"hidden": (4, 3)})):
-        assert eval(repr(config), {type(config).__name__: type(config)}) == config
+        assert eval(repr(config), vars(settings)) == config
     assert PCNDEConfig(flow={"steps": 12}).flow.steps == 12
 
 
