@@ -143,8 +143,8 @@ def on_grid(
 ) -> dict[str, Any]:
     """Return idealized vessels, and their labels, as arguments of :func:`discretize`.
 
-    Without labels, numbers are assigned to the different vessels and waveforms.  A vessel that
-    is repeated with the same waveform, at another outlet, is another geometry each time.
+    Without labels, the different vessels are numbered from 1 and the waveforms from 0.  A vessel
+    that is repeated with the same waveform, at another outlet, is another geometry each time.
     """
     vessels = all_of(Vessel, "vessels", vessels)
     waveforms = all_of(Waveform, "waveforms", waveforms)
@@ -158,7 +158,7 @@ def on_grid(
         pairs = pd.DataFrame({"vessel": pd.Series(vessels), "waveform": pd.Series(waveforms)})
         pairs["copy"] = pairs.groupby(["vessel", "waveform"], sort=False).cumcount()
         labels = {
-            "geometry": pairs.groupby(["vessel", "copy"], sort=False).ngroup(),
+            "geometry": pairs.groupby(["vessel", "copy"], sort=False).ngroup() + 1,
             "waveform": pairs.groupby("waveform", sort=False).ngroup(),
         }
     if isinstance(labels, Mapping | pd.DataFrame) and "blockage" not in labels:

@@ -769,12 +769,12 @@ def test_labels_that_are_not_given():
     cases = tube.simulate(
         [narrow, narrow, Vessel()], [wave] * 3, Windkessel([1e5, 2e5, 1e5]), n_points=41
     )
-    assert cases.labels["geometry"].tolist() == [0, 1, 2]
+    assert cases.labels["geometry"].tolist() == [1, 2, 3]
     assert cases.labels["waveform"].tolist() == [0, 0, 0]
     cases = tube.simulate(
         [narrow] * 4, [wave, other] * 2, Windkessel([1e5, 1e5, 2e5, 2e5]), n_points=41
     )
-    assert cases.labels["geometry"].tolist() == [0, 0, 1, 1]
+    assert cases.labels["geometry"].tolist() == [1, 1, 2, 2]
     assert cases.labels["waveform"].tolist() == [0, 1, 0, 1]
     for labels in (NUMBERS, pd.DataFrame(NUMBERS, index=[5, 6])):
         cases = tube.simulate([narrow] * 2, [wave] * 2, OUTLET, n_points=41, labels=labels)
