@@ -386,6 +386,9 @@ class LossClosure(Section):
         s and s_ν, growth of the jet's radius by turbulence and by viscosity.
     jet_lag : float or None
         λ, lag of the jet behind the flow; 1 means that its fluid keeps its speed.
+    spacing : float or None
+        Distance of the points at which all closures are solved, cm.  Training sets it to a
+        tenth of the mean radius at the inlets of the training cases.
     """
 
     friction: float | None = positive(None)
@@ -398,6 +401,7 @@ class LossClosure(Section):
     jet_spread: float | None = positive(None)
     jet_viscous_spread: float | None = positive(None)
     jet_lag: float | None = positive(None)
+    spacing: float | None = positive(None)
 
 
 @dataclass(frozen=True, repr=False)

@@ -471,8 +471,9 @@ class VesselQuantities(Displayed):
     def _given_wall_shear_stress(self) -> Array:
         if self.wall_shear_stress is None:
             raise InputError(
-                "There is no wall shear stress: a data set has it if its files do, and only models "
-                "of the preset 'physics' predict it."
+                "There is no wall shear stress: a data set has it if its files do, only models of "
+                "the preset 'physics' predict it, and only those trained with one have samples of "
+                "it."
             )
         return self.wall_shear_stress
 

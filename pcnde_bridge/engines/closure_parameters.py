@@ -27,10 +27,13 @@ from pcnde_bridge.errors import InputError
 CLOSURES = ("outlet", "losses", "wall", "wall_shear_stress", "correction")
 """Names of the closures, in the order in which they are fitted."""
 
+REFITTED = ("losses", "wall_shear_stress", "correction")
+"""Closures that each member of the ensemble has of its own."""
+
 CORRECTION_SCALARS = 4
 """Count of numbers before the network's weights: κ, the ceiling and two scales."""
 
-WALL_SHEAR_STRESS = np.array([0.64, 0.075, 0.125, 0.165, 0.33, 0.12, 0.78, 1.42, 0.84])
+WALL_SHEAR_STRESS = np.array([0.64, 0.066, 0.11, 0.19, 0.35, 0.098, 0.65, 1.39, 0.73])
 """Parameters of the wall shear stress without measured values: those of the 81 training cases of
 the paper's split of the published data."""
 
@@ -70,6 +73,16 @@ class ClosureParameters(ParameterVectors):
     wall: Array
     correction: Array
     wall_shear_stress: Array = field(default_factory=lambda: WALL_SHEAR_STRESS)
+
+    @property
+    def refitted(self) -> Array:
+        """The closures that a member of the ensemble has of its own, one after the other."""
+        return np.concatenate([getattr(self, name) for name in REFITTED])
+
+    def with_member(self, refitted: Array) -> ClosureParameters:
+        """Return the parameters with another member's :attr:`refitted`."""
+        ends = np.cumsum([getattr(self, name).size for name in REFITTED])[:-1]
+        return self.replace(**dict(zip(REFITTED, np.split(refitted, ends), strict=True)))
 
     @property
     def has_pressure(self) -> bool:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Protocol
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.types import (
     Fit,
@@ -110,11 +112,12 @@ class Stage(Protocol):
         """
 
 
-class Closures(Protocol):
+class Closures(ABC):
     """Equations of the ``physics`` preset.
 
     Arrays are Q (mL/s) or p (dyn/cm²) of shape (case, time, z), S_u (cm²) of shape
-    (case, z) and Q_in (mL/s) of shape (case, time).
+    (case, z) and Q_in (mL/s) of shape (case, time).  The equations are solved at internal points
+    (:mod:`pcnde_bridge.engines.internal_points`); all results are at the points of the grid.
     """
 
     def losses(
@@ -137,6 +140,8 @@ class Closures(Protocol):
         callable
             Maps the parameters ``losses`` to p − p(L), dyn/cm², (case, time, z).
         """
+        fields = flow, flow_rate
+        return self._at_internal_points("losses", (), fields, area_undeformed, grid, config)
 
     def area(
         self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
@@ -148,7 +153,9 @@ class Closures(Protocol):
         callable
             Maps the parameters ``wall`` to S, cm², (case, time, z).
         """
+        return self._at_internal_points("area", (), (pressure,), area_undeformed, grid, config)
 
+    @abstractmethod
     def flow(
         self,
         others: ClosureParameters,
@@ -195,7 +202,12 @@ class Closures(Protocol):
             Maps the parameters ``wall_shear_stress`` to the wall shear stress in the direction
             of z, dyn/cm², (case, time, z): a linear function.
         """
+        fields = flow, flow_rate
+        return self._at_internal_points(
+            "wall_shear_stress", (others,), fields, area_undeformed, grid, config
+        )
 
+    @abstractmethod
     def predict(
         self,
         parameters: ClosureParameters,
@@ -215,6 +227,32 @@ class Closures(Protocol):
         SolveError
             If the coupling passes of a case do not converge.
         """
+
+    @abstractmethod
+    def _problem(
+        self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
+    ) -> Problem:
+        """Prepare a closure whose data are at the points of ``grid``."""
+
+    def _at_internal_points(
+        self,
+        name: str,
+        others: tuple[Any, ...],
+        fields: tuple[Array, ...],
+        area_undeformed: Array,
+        grid: Grid,
+        config: ClosureConfig,
+    ) -> Problem:
+        """Prepare a closure at the internal points; its value and Jacobian are at those of z."""
+        z, inward, outward = points = internal_points(grid.z, config.losses.spacing)
+        data = *others, *(field @ inward for field in fields), points.area(area_undeformed)
+        problem = self._problem(name, data, replace(grid, z=z), config)
+
+        def evaluate(parameters: Array) -> tuple[Array, Array]:
+            value, jacobian = problem(parameters)
+            return value @ outward, np.swapaxes(np.swapaxes(jacobian, -1, -2) @ outward, -1, -2)
+
+        return evaluate
 
 
 class Engine(Displayed, ABC):

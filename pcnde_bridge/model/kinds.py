@@ -85,7 +85,7 @@ class Kind:
         # The parameters of the closures do not depend on the grid.
         parameters.check(config, *(() if self.any_grid else (grid.time.size, grid.z.size)))
         if uncertainty is not None:
-            uncertainty.check(parameters.correction.size)
+            uncertainty.check(parameters.refitted.size)
 
 
 def _predict_staged(

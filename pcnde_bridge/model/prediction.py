@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,8 +111,9 @@ class Prediction(VesselQuantities):
     def interval(self, level: float = 0.9) -> dict[str, tuple[Array, Array]]:
         """Return the lower and upper limit of each sampled variable, (case, time, z).
 
-        The limits are the prediction minus and plus the standard deviation times the normal
-        quantile, which is calibrated at 90 % on training cases that were left out.
+        The limits are the prediction minus and plus the standard deviation times the quantile
+        of Student's distribution for the number of samples.  Their spread is calibrated at 90 %
+        on training cases that were left out.
 
         Parameters
         ----------
@@ -125,8 +125,8 @@ class Prediction(VesselQuantities):
         InputError
             If the level is not between 0 and 1, or there are no samples.
         """
-        factor = _normal_quantile(level)
-        width = {name: factor * values for name, values in self.standard_deviation().items()}
+        deviations, factor = self.standard_deviation(), self._quantile(level)
+        width = {name: factor * values for name, values in deviations.items()}
         mean = self.variables()
         limits = {name: (mean[name] - width[name], mean[name] + width[name]) for name in width}
         if (name := "wall_shear_stress") in limits:  # a magnitude
@@ -163,6 +163,15 @@ class Prediction(VesselQuantities):
             )
         return self.samples
 
+    def _quantile(self, level: float) -> float:
+        """Return half the width of an interval in standard deviations of the samples."""
+        from scipy.special import stdtrit
+
+        if not isinstance(level, Real) or not 0 < level < 1:
+            raise InputError(f"level must lie between 0 and 1, got {level!r}.")
+        samples = 2 if self.samples is None else len(self.samples["flow"])
+        return float(stdtrit(samples - 1, (1 + level) / 2))
+
     def indices(
         self,
         proximal: npt.ArrayLike | None = None,
@@ -183,14 +192,15 @@ class Prediction(VesselQuantities):
         DataFrame
             Columns of :meth:`pcnde_bridge.Cases.indices`.  With samples, each predicted index
             also has its limits, such as ``ffr_low`` and ``ffr_high``: the index minus and plus
-            the normal quantile times the standard deviation of the index over the samples.
+            the quantile of :meth:`interval` times the standard deviation of the index over the
+            samples.
 
         Raises
         ------
         InputError
             If a position or the level is not usable.
         """
-        factor = _normal_quantile(level)
+        factor = self._quantile(level)
         frame = super().indices(proximal, distal)
         if self.samples is None:
             return frame
@@ -304,10 +314,3 @@ class Prediction(VesselQuantities):
         arrays |= {name: getattr(self, name) for name in ("area_undeformed", "time", "z", "period")}
         # A prediction is checked by its inputs.
         return Cases(**arrays, labels=labels, check=False)
-
-
-def _normal_quantile(level: float) -> float:
-    """Return half the width of a normal interval, in standard deviations."""
-    if not isinstance(level, Real) or not 0 < level < 1:
-        raise InputError(f"level must lie between 0 and 1, got {level!r}.")
-    return NormalDist().inv_cdf((1 + level) / 2)

@@ -16,14 +16,15 @@ from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_memory, counted, whole
-from pcnde_bridge.config import Config
+from pcnde_bridge.config import ClosureConfig, Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import stated_units
 from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.engines import EngineChoice, select_engine
+from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.errors import InputError, PCNDEWarning, SolveError
 from pcnde_bridge.hemodynamics.geometry import Vessel
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.model.inputs import Inputs, check_cases, check_plausible, inputs_from_arrays
@@ -131,6 +132,8 @@ class Predictor(Displayed, ABC):
         -----
         OutsideTrainingWarning
             If an input lies outside the training data; the message names the quantities.
+        PCNDEWarning
+            If an area has kinks or noise, to which a model of the preset ``physics`` is sensitive.
 
         Raises
         ------
@@ -226,6 +229,16 @@ class Predictor(Displayed, ABC):
         random = self._random_numbers(samples, seed, len(inputs))
         scores = self.novelty_scores(inputs.inflow, inputs.area_undeformed, inputs.grid)
         novelty = np.max(list(scores.values()), axis=0) if scores else None
+        if isinstance(self.config, ClosureConfig) and (spacing := self.config.losses.spacing):
+            rough = internal_points(inputs.grid.z, spacing).is_rough(inputs.area_undeformed)
+            if rough.any():
+                warnings.warn(
+                    f"{rough.sum()} of {len(rough)} areas have kinks or noise (the first in "
+                    f"case {np.argmax(rough)}): pressure drop and wall shear stress change with "
+                    "them. Smooth the area; interpolate it with a cubic spline, not linearly.",
+                    PCNDEWarning,
+                    stacklevel=3,
+                )
         outside = np.ones(len(inputs), dtype=bool) if novelty is None else novelty > EDGE
         if outside.any() and not isinstance(inflow, Cases):
             _, z, period, units = others

@@ -147,23 +147,47 @@ def _fit_windkessel(
 
 
 def fit_losses(
-    closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
+    closures: Closures,
+    cases: Cases,
+    config: ClosureConfig,
+    on_iteration: OnIteration | None = None,
+    *,
+    again: tuple[Array, Positions, int] | None = None,
 ) -> Fit:
-    """Fit the losses to p − p(L) and to the drop across the stenosis, with the reference flow."""
-    times = _few_times(cases)
-    scale = float(np.linalg.norm(cases.pressure[:, times] - cases.pressure[:, times, -1:]))
+    """Fit the losses to p − p(L) and to the drop across the stenosis, with the reference flow.
 
-    def residual_of(part: Cases, _: slice) -> Problem:
-        flow, flow_rate, pressure = part.flow[:, times], _flow_rate(part)[:, times], part.pressure
+    Parameters
+    ----------
+    closures, cases, config, on_iteration
+        See :func:`fit_correction`.
+    again : tuple, optional
+        For another fit: losses to start from, cases to leave out, largest number of evaluations.
+        The shapes stay those of all cases, which are compiled once.
+    """
+    starts = np.array(list(_LOSSES.values()))
+    left_out: Positions = np.empty(0, int)
+    evaluations = config.correction.evaluations
+    if again is not None:
+        starts[:, 0], left_out, evaluations = again
+    weight = np.ones(len(cases))
+    weight[left_out] = 0
+    times = _few_times(cases)
+    target = cases.pressure[:, times] - cases.pressure[:, times, -1:]
+    scale = float(np.linalg.norm(weight[:, None, None] * target))
+
+    def residual_of(part: Cases, rows: slice) -> Problem:
+        flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
         problem = closures.losses(flow, flow_rate, part.area_undeformed, part.grid, config)
-        along_vessel = _relative(problem, pressure[:, times] - pressure[:, times, -1:], scale)
+        along_vessel = _relative(problem, target[rows], scale)
         # Weights of the points in the drop of each case.
         points = np.broadcast_to(np.eye(part.n_points), (len(part), part.n_points, part.n_points))
         proximal, distal = measuring_positions(part.z, part.area_undeformed)
         drop = values_at(points, part.z, proximal) - values_at(points, part.z, distal)
+        used = weight[rows, None, None]
 
         def residual(x: Array) -> tuple[Array, Array]:
             error, jacobian = along_vessel(x)
+            error, jacobian = used * error, used[..., None] * jacobian
             drop_error = _DROP_WEIGHT * np.einsum("ctz,cz->ct", error, drop)
             drop_jacobian = _DROP_WEIGHT * np.einsum("ctzn,cz->ctn", jacobian, drop)
             return (
@@ -174,9 +198,8 @@ def fit_losses(
         return residual
 
     given = [getattr(config.losses, name) for name in _LOSSES]
-    evaluations = config.correction.evaluations
     problem = _in_blocks(cases, residual_of)
-    return _solve(problem, list(_LOSSES.values()), given, evaluations, on_iteration)
+    return _solve(problem, starts, given, evaluations, on_iteration)
 
 
 def fit_wall(
@@ -217,20 +240,16 @@ def fit_wall_shear_stress(
     others: ClosureParameters,
     cases: Cases,
     config: ClosureConfig,
-    left_out: Sequence[Positions],
-) -> list[Array]:
+    left_out: Positions,
+) -> Array:
     """Fit the wall shear stress, with the reference flow, or return the start if there is none.
 
     The data may hold the magnitude, so the sign of each value is that of the fit before.
-
-    Returns
-    -------
-    list of arrays of shape (n,)
-        Parameters of the fit to the other cases, for each of ``left_out``.
+    The cases ``left_out`` are ignored.
     """
     start, rows = WALL_SHEAR_STRESS, some_of(np.arange(len(cases)), _SHEAR_CASES)
     if cases.wall_shear_stress is None:
-        return [start] * len(left_out)
+        return start
     times, part = _few_times(cases), cases[rows]
     flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
     others = others.replace(wall_shear_stress=start)
@@ -239,8 +258,8 @@ def fit_wall_shear_stress(
     )
     target = np.abs(cases.wall_shear_stress[rows][:, times])
     parts = *problem(start), target
-    used = [~np.isin(rows, fold) for fold in left_out]
-    return [start + _linear_fit(*(array[mask] for array in parts)) for mask in used]
+    used = ~np.isin(rows, left_out)
+    return start + _linear_fit(*(array[used] for array in parts))
 
 
 def _linear_fit(value: Array, slope: Array, target: Array) -> Array:
@@ -400,7 +419,7 @@ def _in_blocks(
 
 def _solve(
     residual: Problem,
-    starts: Sequence[_Bounded],
+    starts: Sequence[_Bounded] | Array,
     given: Sequence[float | None],
     evaluations: int,
     on_iteration: OnIteration | None,

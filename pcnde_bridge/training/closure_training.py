@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,7 +15,13 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
 from pcnde_bridge.data.selection import Positions, some_of
 from pcnde_bridge.data.splits import neighboring_folds
-from pcnde_bridge.engines.closure_parameters import CLOSURES, ClosureParameters, sizes
+from pcnde_bridge.engines.closure_parameters import (
+    CLOSURES,
+    REFITTED,
+    ClosureParameters,
+    sizes,
+)
+from pcnde_bridge.engines.internal_points import POINTS_PER_RADIUS
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit
@@ -35,7 +41,7 @@ class ClosureState(RunState):
     Attributes
     ----------
     vectors : dict of arrays
-        Closures fitted so far, by name, then the ensemble's ``member_0``, ``member_1``, ….
+        Closures fitted so far, by name, then the ensemble's ``losses_0``, ``member_0``, ….
     """
 
     vectors: dict[str, Array]
@@ -49,15 +55,16 @@ class ClosureState(RunState):
 class ClosureTraining(Procedure[ClosureState]):
     """Training procedure of the closures.
 
-    The correction is fitted to all cases, then once more for each fold of the cases that is
-    left out; these fits are the ensemble that gives the uncertainty.
+    The closures are fitted to all cases.  Losses, wall shear stress and correction are then
+    fitted once more for each fold of the cases that is left out; these fits are the ensemble
+    that gives the uncertainty.
 
     Parameters
     ----------
     cases : Cases
         All training cases.
     config : ClosureConfig
-        Settings; the attribute ``config`` has the wall law that was chosen for ``auto``.
+        Settings; the attribute ``config`` has the wall law and the spacing that were chosen.
     engine : Engine
         Compute engine.
 
@@ -73,7 +80,7 @@ class ClosureTraining(Procedure[ClosureState]):
     def __init__(self, cases: Cases, config: ClosureConfig, engine: Engine) -> None:
         _check(cases)
         self.cases, self.engine = cases, engine
-        self.config = _with_wall_law(cases, config)
+        self.config = _with_spacing(cases, _with_wall_law(cases, config))
         folds = config.correction.folds
         self.left_out = neighboring_folds(cases, folds) if folds else []
 
@@ -82,16 +89,16 @@ class ClosureTraining(Procedure[ClosureState]):
         return ClosureState(seed=seed, vectors={})
 
     def steps(self, _: ClosureState) -> list[Step]:
-        """Return all steps: one for each closure, then one for each fold that is left out."""
-        members = [Step("correction", number + 2) for number in range(len(self.left_out))]
+        """Return all steps: one for each closure, then two for each fold that is left out."""
+        again = range(2, len(self.left_out) + 2)
+        members = [Step(name, epoch) for epoch in again for name in ("losses", "correction")]
         return [*(Step(name) for name in CLOSURES), *members]
 
     def count_iterations(self, _: ClosureState) -> int:
         """Return the usual number of iterations: most fits end long before their limit."""
         most = self.config.correction.evaluations
-        return sum(min(most, usual) for usual in (10, 6, 10)) + len(self.left_out) * min(
-            self._few, 5
-        )
+        members = 2 * len(self.left_out) * min(self._few, 5)
+        return sum(min(most, usual) for usual in (10, 6, 10)) + members
 
     @property
     def _few(self) -> int:
@@ -111,22 +118,33 @@ class ClosureTraining(Procedure[ClosureState]):
         if name == "outlet":
             return _with(state, name, closure_fit.fit_outlet(cases, config))
         if name == "wall_shear_stress":
-            return _with(state, name, self._wall_shear_stresses(state, [np.empty(0, int)])[0])
+            return _with(state, name, self._wall_shear_stress(state.parameters, np.empty(0, int)))
+        member = step.epoch - 2
+        if name == "losses" and member >= 0:
+            again = state.vectors[name], self.left_out[member], self._few
+            optimize = partial(closure_fit.fit_losses, closures, cases, config, again=again)
+            return _with(state, f"losses_{member}", recorder.run(name, step.epoch, 1, optimize))
         if name != "correction":
             fit_closure = {"losses": closure_fit.fit_losses, "wall": closure_fit.fit_wall}[name]
             optimize = partial(fit_closure, closures, cases, config)
             return _with(state, name, recorder.run(name, 1, 1, optimize))
-        if step.epoch == 1:
+        others = state.parameters
+        if member < 0:
             rng = np.random.default_rng([state.seed, 0])
             first = closure_fit.first_correction(cases, config, rng)
             evaluations = config.correction.evaluations
         else:
-            name = f"member_{step.epoch - 2}"
-            first, evaluations = state.vectors["correction"], self._few
-            weight[self.left_out[step.epoch - 2]] = 0
-        given = state.parameters, cases, config, first, weight, evaluations
+            first, evaluations = others.correction, self._few
+            weight[self.left_out[member]] = 0
+            others = others.replace(losses=state.vectors[f"losses_{member}"])
+            shear = self._wall_shear_stress(others, self.left_out[member])
+            others = others.replace(wall_shear_stress=shear)
+        given = others, cases, config, first, weight, evaluations
         optimize = partial(closure_fit.fit_correction, closures, *given)
-        return _with(state, name, recorder.run("correction", step.epoch, 1, optimize))
+        correction = recorder.run("correction", step.epoch, 1, optimize)
+        if member < 0:
+            return _with(state, name, correction)
+        return _with(state, f"member_{member}", others.replace(correction=correction).refitted)
 
     def finish(self, state: ClosureState) -> ClosureState:
         """Calibrate the uncertainty on the folds that were left out."""
@@ -135,16 +153,13 @@ class ClosureTraining(Procedure[ClosureState]):
         members = [state.vectors[f"member_{k}"] for k in range(len(self.left_out))]
         rng = np.random.default_rng([state.seed, 1])
         model = SampledModel(self.engine.closures, state.parameters, self.config)
-        stresses = self._wall_shear_stresses(state, self.left_out)
         tested = [some_of(fold, _TESTED) for fold in self.left_out]
-        uncertainty = calibrate(model, members, stresses, tested, self.cases, rng)
+        uncertainty = calibrate(model, members, tested, self.cases, rng)
         return replace(state, uncertainty=uncertainty)
 
-    def _wall_shear_stresses(
-        self, state: ClosureState, left_out: Sequence[Positions]
-    ) -> list[Array]:
-        closures, given = self.engine.closures, (state.parameters, self.cases, self.config)
-        return closure_fit.fit_wall_shear_stress(closures, *given, left_out)
+    def _wall_shear_stress(self, others: ClosureParameters, left_out: Positions) -> Array:
+        given = others, self.cases, self.config
+        return closure_fit.fit_wall_shear_stress(self.engine.closures, *given, left_out)
 
     def to_archive(self, state: ClosureState) -> tuple[dict[str, Any], dict[str, AnyArray]]:
         """Return facts and arrays of a checkpoint."""
@@ -161,9 +176,10 @@ class ClosureTraining(Procedure[ClosureState]):
             If a vector is missing, or is of another length or not finite.
         """
         lengths = sizes(self.config)
+        lengths["member"] = sum(lengths[name] for name in REFITTED)
         vectors = {name: arrays[name] for name in facts["vectors"]}
         for name, vector in vectors.items():
-            needed = lengths["correction" if name.startswith("member_") else name]
+            needed = lengths[name.rstrip("_0123456789")]
             if vector.shape != (needed,) or not np.isfinite(vector).all():
                 raise ValueError(f"{name} must be {needed} finite numbers, got {vector.shape}")
         return ClosureState(seed=facts["seed"], finished=len(vectors), vectors=vectors)
@@ -193,3 +209,11 @@ def _with_wall_law(cases: Cases, config: ClosureConfig) -> ClosureConfig:
     largest = variation.max(axis=1, keepdims=True)
     clamped = bool((variation[:, [0, -1]] <= _CLAMPED * largest).all())
     return config.replace(wall={"law": "membrane" if clamped else "local"})
+
+
+def _with_spacing(cases: Cases, config: ClosureConfig) -> ClosureConfig:
+    """Choose the distance of the points at which the closures are solved."""
+    if config.losses.spacing is not None:
+        return config
+    radius = float(np.sqrt(cases.area_undeformed[:, 0] / np.pi).mean())
+    return config.replace(losses={"spacing": radius / POINTS_PER_RADIUS})

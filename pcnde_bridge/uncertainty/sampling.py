@@ -2,8 +2,9 @@ r"""Samples of predictions of the ``physics`` preset, with a calibrated spread.
 
 Four random quantities make a sample of a prediction:
 
-- the correction of one of the fits that left out a fold of the training cases (whole
-  geometries or whole waveforms), chosen at random, because the data do not determine it;
+- losses, wall shear stress and correction of one of the fits that left out a fold of the
+  training cases (whole geometries or whole waveforms), chosen at random, because the data do not
+  determine them;
 - a normal shift of the correction's logit, the same for a whole case, because cases differ
   in how much of the storage the averaged flow hides, and the inputs do not show it;
 - a normal multiple of an error profile along the vessel, one for each variable, for the
@@ -19,7 +20,7 @@ Four random quantities make a sample of a prediction:
 The widths are calibrated on the cases that each fit left out
 (:mod:`pcnde_bridge.uncertainty.calibration`): those of the losses on the drop across the stenosis,
 those of the wall shear stress at all points, the others on flow, area and pressure, with the shift
-that gives the narrowest intervals.  The losses themselves are fitted to all training cases.
+that gives the narrowest intervals.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ class Uncertainty(Displayed):
     Attributes
     ----------
     members : array of shape (member, n)
-        Parameters of the correction, one row for each fit that left out a fold.
+        Parameters of losses, wall shear stress and correction, one after the other, with one row
+        for each fit that left out a fold.
     shift : array of shape (1,)
         Standard deviation of the logit's shift.
     losses : array of shape (3,)
@@ -105,7 +107,7 @@ class Uncertainty(Displayed):
         Parameters
         ----------
         width : int
-            Number of parameters of the correction.
+            Number of parameters of a member.
 
         Raises
         ------
@@ -127,7 +129,7 @@ class RandomNumbers(NamedTuple):
     Attributes
     ----------
     member : array of int of shape (sample,)
-        Index of the fit that gives the correction.
+        Index of the fit.
     shift : array of shape (sample, case)
         Shift of the correction's logit.
     noise : array of shape (11, sample, case)
@@ -171,9 +173,9 @@ class SampledModel(NamedTuple):
     parameters: ClosureParameters
     config: ClosureConfig
 
-    def predict(self, correction: Array, shift: Array, inputs: ModelInputs) -> dict[str, Array]:
+    def predict(self, member: Array, shift: Array, inputs: ModelInputs) -> dict[str, Array]:
         """Predict all variables (sample, case, time, z) with shifts (sample, case)."""
-        parameters, (inflow, area, grid) = self.parameters.replace(correction=correction), inputs
+        parameters, (inflow, area, grid) = self.parameters.with_member(member), inputs
         times = len(shift), 1
         repeated = ModelInputs(np.tile(inflow, times), np.tile(area, times), grid)
         found = self.closures.predict(parameters, shift.ravel(), repeated, self.config)
@@ -184,7 +186,6 @@ class SampledModel(NamedTuple):
 def calibrate(
     model: SampledModel,
     members: Sequence[Array],
-    stresses: Sequence[Array],
     left_out: Sequence[Positions],
     cases: Cases,
     rng: np.random.Generator,
@@ -196,9 +197,7 @@ def calibrate(
     model : SampledModel
         Model that was fitted to all cases.
     members : sequence of arrays of shape (n,)
-        Correction of each fit that left out a fold.
-    stresses : sequence of arrays of shape (n,)
-        Wall shear stress of each of these fits.
+        Losses, wall shear stress and correction of each fit that left out a fold.
     left_out : sequence of arrays of int
         Positions of the cases that each of these fits left out.
     cases : Cases
@@ -212,8 +211,7 @@ def calibrate(
     drops: list[Array] = []  # for each fold, errors of the drop and their two scales
     shears: list[Array] = []  # for each fold, the same of the wall shear stress at all points
     spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
-    for member, stress, fold in zip(members, stresses, left_out, strict=True):
-        model = model._replace(parameters=model.parameters.replace(wall_shear_stress=stress))
+    for member, fold in zip(members, left_out, strict=True):
         truth = cases.select(fold)
         inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
         plain = model.predict(member, np.zeros((1, len(truth))), inputs)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from statistics import NormalDist
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from pcnde_bridge import InputError
 from pcnde_bridge.model.prediction import Prediction
@@ -39,13 +39,14 @@ def test_interval_of_a_difference_is_that_of_the_differences(prediction):
     at = [int(np.abs(prediction.z - z).argmin()) for z in (1.0, 3.0)]
     p = prediction.samples["pressure"]
     differences = (p[..., at[0]] - p[..., at[1]]).mean(axis=-1) / 1333.22
-    width = NormalDist().inv_cdf(0.9) * differences.std(axis=0, ddof=1)
+    quantile = t.ppf(0.9, len(p) - 1)
+    width = quantile * differences.std(axis=0, ddof=1)
     drop = table["mean_drop_mmHg"]
     np.testing.assert_allclose(table["mean_drop_mmHg_low"], drop - width, rtol=1e-12)
     np.testing.assert_allclose(table["mean_drop_mmHg_high"], drop + width, rtol=1e-12)
     # The shared factor cancels in FFR, but not in the pressure at either point.
     ffr = p[..., at[1]].mean(axis=-1) / p[..., at[0]].mean(axis=-1)
-    spread = NormalDist().inv_cdf(0.9) * ffr.std(axis=0, ddof=1)
+    spread = quantile * ffr.std(axis=0, ddof=1)
     found = (table["ffr_high"] - table["ffr_low"]) / 2
     np.testing.assert_allclose(found, spread, rtol=1e-6)
     assert (spread < 0.01).all()
@@ -101,3 +102,10 @@ def test_a_variable_without_samples_has_no_interval(prediction, sheared_cases):
     found = prediction.to_xarray()
     assert found["wall_shear_stress"].attrs["units"] == "dyn/cm^2"
     assert found["wall_shear_stress_samples"].dims == ("sample", "case", "time", "z")
+
+
+def test_intervals_of_few_samples_are_those_of_student(prediction):
+    few = {name: values[:3] for name, values in prediction.samples.items()}
+    found = dataclasses.replace(prediction, samples=few).interval(0.9)
+    width = t.ppf(0.95, 2) * few["area"].std(axis=0, ddof=1)
+    np.testing.assert_allclose(found["area"][1] - prediction.area, width, rtol=1e-9)

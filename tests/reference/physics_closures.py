@@ -34,6 +34,7 @@ LOSSES = np.array([1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.04, 2.0, 0.7])
 FRICTIONLESS = LOSSES * [0, 1, 1, 1, 1, 1, 0, 1, 1, 1]
 SCALES_PRESSURE = np.array([1, 1, 1, 0, 0, 1, 1, 0, 0, 1], dtype=bool)
 SHEAR = np.array([0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8])
+STRAIGHT, FILLED_POWER = 1e-3, 8
 REYNOLDS, FLOWS = 60.0, np.array([0.5, 2.0, 8.0])
 MEMBRANE = np.array([1.0e6, 0.45, 0.2, 1.0, 2.0e3])
 LOCAL = np.array([1.0e6, 0.5, 2.0e3])
@@ -105,6 +106,18 @@ def reference_flow(blockage):
     return REYNOLDS / 2 * np.pi * VISCOSITY / DENSITY * np.sqrt((ends**2).mean())
 
 
+def drop_per_length(s, s_z, at_throat, filled, flow, p, attached, accelerated, mixed):
+    """Weight friction by the share that the flow fills, and the acceleration where it narrows.
+
+    Without a slope a vessel is straight, but not at its throat.
+    """
+    separated = p.jet_friction * 8 * np.pi * VISCOSITY * flow / s**2
+    straight = np.where(at_throat, 1e-30, STRAIGHT**2 * np.pi * s)
+    share = np.where(s_z < 0, s_z**2 / (s_z**2 + straight), 0) * filled**FILLED_POWER
+    friction = filled * attached + (1 - filled) * separated
+    return share * accelerated + (1 - share) * mixed + friction
+
+
 def march(flow, throat, blockage, p):
     """Layer and jet of a flow towards larger z: densities of its drop and of its lag, and kinks.
 
@@ -167,7 +180,7 @@ def march(flow, throat, blockage, p):
         attached = p.friction * 4 * np.pi * VISCOSITY * speed * d**6 / s
         inside = (z > begin) & (z < end)
         inverse, inverse_z = p.momentum / s, -p.momentum * s_z / s**2
-        r, volume, lag = np.ones_like(z), np.zeros_like(z), np.zeros_like(z)
+        (r, filled), (volume, lag) = np.ones((2, *z.shape)), np.zeros((2, *z.shape))
         if inside.any():
             r[inside], volume[inside] = jet.sol(z[inside])
             area, area_z = np.pi * r**2, 2 * np.pi * r * jet_rate(z, (r, 0))[0]
@@ -175,10 +188,10 @@ def march(flow, throat, blockage, p):
             behind = (jet_inverse_z - inverse_z) * volume + (1 / area - inverse) * area
             lag = np.where(inside, -2 * p.lag * DENSITY / s * behind, 0)
             inverse_z = np.where(inside, jet_inverse_z, inverse_z)
+            filled = np.where(inside, p.momentum * area / s, 1)
         mixed = p.recovery * DENSITY * flow**2 / s * inverse_z
-        accelerated = p.core * DENSITY * speed * speed_z
-        friction = np.where(inside, p.jet_friction * 8 * np.pi * VISCOSITY * flow / s**2, attached)
-        return np.where(z < throat, accelerated, mixed) + friction, lag
+        terms = attached, p.core * DENSITY * speed * speed_z, mixed
+        return drop_per_length(s, s_z, np.abs(z - throat) < WIDTH / 4, filled, flow, p, *terms), lag
 
     return densities, [until, begin, end, throat]
 
@@ -338,13 +351,20 @@ def interval_drops(s, flow, p):
     speed = flow / (s * mean_speed(d)[0])
     attached = p.friction * 4 * np.pi * VISCOSITY * speed * d**6 / s
     separated = p.jet_friction * 8 * np.pi * VISCOSITY * flow / s**2
-    attached, separated = ((f[1:] + f[:-1]) / 2 for f in (attached, separated))
-    friction = np.where(is_filled[1:], attached, separated)
+    filled = area / filled_area
+    friction = filled * attached + (1 - filled) * separated
+    friction, filled, straight = (
+        (f[1:] + f[:-1]) / 2 for f in (friction, filled, STRAIGHT * np.sqrt(np.pi * s))
+    )
     per_area = (1 / s[1:] + 1 / s[:-1]) / 2
     mixed = p.recovery * DENSITY * flow**2 * per_area * np.diff(1 / area)
     accelerated = p.core * DENSITY / 2 * np.diff(speed**2)
-    narrows = is_filled[1:] & (np.diff(s) <= 0)
-    drop = np.where(narrows, accelerated, mixed) + h * friction
+    slope = np.zeros(N_POINTS)
+    slope[1:-1] = (s[2:] - s[:-2]) / (2 * h)
+    falls, rises = (np.maximum(f, 0)[1:] + np.maximum(f, 0)[:-1] for f in (-slope, slope))
+    steep = falls + rises
+    share = falls * steep / (steep**2 + straight**2) * filled**FILLED_POWER
+    drop = share * accelerated + (1 - share) * mixed + h * friction
     lag = -2 * p.lag * DENSITY * per_area * np.diff((1 / area - 1 / filled_area) * volume)
     return drop, lag
 
@@ -398,9 +418,10 @@ def marched_shear(s, flow, p):
     d = layer_on_grid(s, np.pi * nu / flow, p)
     excess = s / (p.momentum * jet_on_grid(s, np.pi * nu / flow, p)[0])
     core, bend, slope = mean / mean_speed(d)[0], np.zeros(N_POINTS), np.zeros(N_POINTS)
-    bend[1:-1] = np.diff(core, 2) / h**2
-    edge = core - 0.8 * r**2 / 8 * bend
-    slope[1:-1] = (edge[2:] - edge[:-2]) / (2 * h)
+    # Differences over two intervals on either side.
+    bend[2:-2] = (core[4:] - 2 * core[2:-2] + core[:-4]) / (2 * h) ** 2
+    edge = core - 0.6 * r**2 / 8 * bend
+    slope[2:-2] = (edge[4:] - edge[:-4]) / (4 * h)
     shear, pohlhausen = edge / (2 * mean * d), (r * d) ** 2 * slope / nu
     up = np.where(pohlhausen > 0, pohlhausen, 0)
     near = 0.005 * (r * d) ** 2 * core / nu

@@ -85,6 +85,18 @@ def test_losses_are_found(cases, closures):
     assert found[:2] == pytest.approx(LOSSES[:2], rel=0.05)
 
 
+def test_losses_are_fitted_again_without_some_cases(cases, closures):
+    pressure = cases.pressure.copy()
+    pressure[:4] *= 1.2
+    other = as_cases((cases.flow, cases.area, pressure))
+
+    def fitted(some, left_out):
+        return fit.fit_losses(closures, some, CONFIG, again=(LOSSES, left_out, 3)).parameters
+
+    assert np.array_equal(fitted(other, np.arange(4)), fitted(cases, np.arange(4)))
+    assert not np.array_equal(fitted(other, []), fitted(cases, []))
+
+
 def test_given_losses_are_kept(cases, closures):
     given = CONFIG.replace(losses={"friction": 1.5, "jet_spread": 0.1})
     found = fit.fit_losses(closures, cases, given).parameters
@@ -118,7 +130,7 @@ def test_wall_shear_stress_is_found_from_its_magnitude(cases, closures):
     assert cases.wall_shear_stress.min() >= 0
     start = error_of_the_shear(cases, WALL_SHEAR_STRESS)
     others = PASSIVE.replace(wall_shear_stress=np.empty(0))
-    found = fit.fit_wall_shear_stress(closures, others, cases, CONFIG, [[]])[0]
+    found = fit.fit_wall_shear_stress(closures, others, cases, CONFIG, [])
     assert start > 0.1
     assert error_of_the_shear(cases, found) < 0.01
     assert found[0] == pytest.approx(SHEAR[0], rel=0.05)
@@ -126,7 +138,7 @@ def test_wall_shear_stress_is_found_from_its_magnitude(cases, closures):
 
 def test_parameters_without_a_wall_shear_stress_are_the_start(cases, closures):
     without = as_cases((cases.flow, cases.area, cases.pressure))
-    found = fit.fit_wall_shear_stress(closures, PASSIVE, without, CONFIG, [[]])[0]
+    found = fit.fit_wall_shear_stress(closures, PASSIVE, without, CONFIG, [])
     assert np.array_equal(found, WALL_SHEAR_STRESS)
 
 

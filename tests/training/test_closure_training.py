@@ -12,6 +12,7 @@ from helpers import (
     CORRECTED,
     LOSSES,
     PHYSICS_CONFIG,
+    RADIUS,
     TIME,
     Z,
     fit_physics,
@@ -67,7 +68,8 @@ def test_what_the_closures_made_is_learnt(model, cases):
     # A few evaluations; a passive tube alone leaves 1e-2 of the flow.
     limits = pd.Series({"flow": 1e-3, "area": 5e-4, "pressure": 1e-3, "wall_shear_stress": 0.02})
     assert (errors[limits.index] < limits).all()
-    assert model.config == PHYSICS_CONFIG.replace(wall={"law": "membrane"})
+    chosen = {"wall": {"law": "membrane"}, "losses": {"spacing": RADIUS / 10}}
+    assert model.config == PHYSICS_CONFIG.replace(**chosen)
     assert model.parameters.outlet == pytest.approx(CORRECTED.outlet, rel=1e-3)
     # Friction and inertia; the other losses can replace each other.
     assert model.parameters.losses[:2] == pytest.approx(CORRECTED.losses[:2], rel=0.05)
@@ -79,9 +81,10 @@ def test_history_names_the_closures(model, records):
     numbers = history.drop(columns="outcome").itertuples(index=False, name=None)
     assert list(numbers) == [tuple(r)[:-1] for r in records]
     assert list(dict.fromkeys(history["stage"])) == ["losses", "wall", "correction"]
-    fits = history[history["stage"] == "correction"]
     # The fit to all cases, then four that leave out a part of them.
-    assert list(dict.fromkeys(fits["epoch"])) == [1, 2, 3, 4, 5]
+    for stage in ("losses", "correction"):
+        fits = history[history["stage"] == stage]
+        assert list(dict.fromkeys(fits["epoch"])) == [1, 2, 3, 4, 5]
     for _, rows in history.groupby(["stage", "epoch"]):
         assert list(rows["iteration"]) == list(range(1, len(rows) + 1))
         assert len(rows) <= 15

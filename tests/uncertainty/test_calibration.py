@@ -64,6 +64,11 @@ class ByHand:
         )
 
 
+def member(correction):
+    """Parameters of a member that differs in its correction."""
+    return PARAMETERS.replace(correction=np.array([correction])).refitted
+
+
 def inflow_of(count):
     return np.repeat(np.arange(1.0, count + 1)[:, None], 4, axis=1)
 
@@ -93,10 +98,10 @@ def test_known_errors_give_profile_shift_and_scale(ten_cases, responding, shift,
     # Random numbers with standard deviation one in each case.
     draws = np.repeat([-1.0, 1.0], 6)[:, None] * np.sqrt(11 / 12)
     rng = SimpleNamespace(standard_normal=lambda shape: np.broadcast_to(draws, shape))
-    members = [np.array([1.0]), np.array([-1.0])]
+    members = [member(1.0), member(-1.0)]
     left_out = [np.arange(5), np.arange(5, 10)]
     model = SampledModel(ByHand(AMOUNT, 20.0 * responding), PARAMETERS, PHYSICS)
-    found = calibrate(model, members, [np.ones(9)] * 2, left_out, ten_cases, rng)
+    found = calibrate(model, members, left_out, ten_cases, rng)
     assert np.array_equal(found.members, members)
     assert found.shift == [shift]
     # 68 % of the cases are off by one at most.
@@ -111,7 +116,7 @@ def drawn(
     """Return samples minus the truth, in terms of UNITS, and their shifts."""
     engine, inflow = ByHand(amount, response), inflow_of(len(amount))
     uncertainty = Uncertainty(
-        np.array(members, dtype=float)[:, None],
+        np.array([member(correction) for correction in members]),
         np.array([shift]),
         np.array(losses),
         np.empty(0),
@@ -175,7 +180,7 @@ def test_errors_of_the_losses_do_not_cancel_in_a_drop():
     engine = SimpleNamespace(predict=lambda *_: Solution(*(np.tile(a, (4000, 1, 1)) for a in mean)))
     profile = np.array([[0.0], [0.0], [50.0]]) * np.ones(6)
     uncertainty = Uncertainty(
-        np.zeros((1, 1)),
+        member(0.0)[None],
         np.zeros(1),
         np.array(widths),
         np.empty(0),
@@ -202,7 +207,7 @@ def test_wall_shear_stress_varies_with_itself_and_with_poiseuilles():
     mean = Solution(*truth(inflow)[:3], 20.0 * truth(inflow).flow)
     widths = 0.1, 0.02, 0.03
     uncertainty = Uncertainty(
-        np.ones((1, 1)),
+        member(1.0)[None],
         np.zeros(1),
         np.zeros(3),
         np.array(widths),
@@ -231,8 +236,8 @@ def test_errors_of_the_wall_shear_stress_are_calibrated_where_it_is_known(ten_ca
         cases = Cases(*fields.values(), *grid, wall_shear_stress=stress, period=1.0, check=False)
     model = SampledModel(ByHand(AMOUNT, 0.0), PARAMETERS, PHYSICS)
     left_out = [np.arange(5), np.arange(5, 10)]
-    members = [np.array([1.0]), np.array([-1.0])]
-    given = model, members, [np.ones(9)] * 2, left_out, cases
+    members = [member(1.0), member(-1.0)]
+    given = model, members, left_out, cases
     found = calibrate(*given, np.random.default_rng(0)).wall_shear_stress
     if not known:
         assert found.shape == (0,)

@@ -205,10 +205,8 @@ function predict_closures(config::ClosureConfig, period::Float64, numbers::Int..
     end
     fields = next(3), next(3), next(3), next(3)
     parameters = next(1), next(1), next(1), next(1), next(1)
-    shift, inflow, area_undeformed, z = next(1), next(2), next(2), next(1)
-    return predict_closures!(
-        fields..., parameters, shift, inflow, area_undeformed, z, period, config,
-    )
+    inputs = next(1), next(2), next(2), next(1), next(2)
+    return predict_closures!(fields..., parameters, inputs..., period, config)
 end
 
 """

@@ -69,10 +69,12 @@
         closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
         sheared = (closures[2], flow, zero(flow), area_undeformed)
         closure("wall_shear_stress", closures[5], sheared, z, 1.0, chosen)
-        coupled = (closures[1:3]..., inflow, area_undeformed, points)
+        outward = Matrix(1.0I, n_points, n_points)
+        coupled = (closures[1:3]..., inflow, area_undeformed, outward, points)
         closure("flow", closures[4], coupled, z, 1.0, chosen)
         results = ntuple(_ -> similar(flow), 4)
-        arrays = results..., closures..., zeros(n_cases), inflow, area_undeformed, z
+        arrays =
+            results..., closures..., zeros(n_cases), inflow, area_undeformed, z, outward
         GC.@preserve arrays begin
             numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
             predict_closures(chosen, 1.0, numbers...)

@@ -48,17 +48,20 @@ function clear!(state::State)
 end
 
 """
-    cached_vessels!(state, wall, losses, shear, z, config)
+    cached_vessels!(state, wall, losses, shear, z, outward, config)
 
 [`VesselCache`](@ref) of the last prediction if it had the same parameters, points and
 settings; otherwise a new one, which is stored.
 """
-function cached_vessels!(state::State, wall, losses, shear, z, config::ClosureConfig)
+function cached_vessels!(
+    state::State, wall, losses, shear, z, outward, config::ClosureConfig,
+)
     last = state.vessels
     same =
-        (last.wall, last.losses, last.shear, last.z) == (wall, losses, shear, z) &&
+        (last.wall, last.losses, last.shear) == (wall, losses, shear) &&
+        (last.z, last.outward) == (z, outward) &&
         (last.config.wall, last.config.physics) == (config.wall, config.physics)
-    same || (state.vessels = VesselCache(wall, losses, shear, z, config))
+    same || (state.vessels = VesselCache(wall, losses, shear, z, outward, config))
     return state.vessels
 end
 

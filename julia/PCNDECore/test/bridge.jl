@@ -22,7 +22,7 @@ end
 
 @testset "predictions in place" begin
     vectors = outlet, losses, wall, correction, shear
-    given = zeros(n_cases), data.inflow, data.area_undeformed, z
+    given = zeros(n_cases), data.inflow, data.area_undeformed, z, here
     expected, result = (Tuple(zeros(n_points, n_times, n_cases) for _ in 1:4) for _ in 1:2)
     PCNDECore.predict_closures!(expected..., vectors, given..., 1.0, with_hidden)
     arrays = result..., vectors..., given...

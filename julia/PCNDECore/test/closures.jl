@@ -9,6 +9,7 @@ const losses = [1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7]
 const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
 const shear = [0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8]
 const correction = [1.3; 0.8; 1e6; 1.0; randn(MersenneTwister(5), 17)]
+const here = [Float64(i == j) for i in 1:n_points, j in 1:n_points]
 const with_hidden = ClosureConfig(correction = CorrectionClosure(hidden = [4]))
 function predicted(
     θ = correction;
@@ -17,7 +18,7 @@ function predicted(
     results = ntuple(_ -> Array{Float64}(undef, n_points, n_times, length(cases)), 4)
     inputs = data.inflow[:, cases], data.area_undeformed[:, cases]
     parameters, shift = (law, losses, tube, θ, shear), zeros(length(cases))
-    predict_closures!(results..., parameters, shift, inputs..., z, period, config)
+    predict_closures!(results..., parameters, shift, inputs..., z, here, period, config)
     return results
 end
 
@@ -224,7 +225,7 @@ end
     flow_rate = circshift(flow, (0, -1, 0)) .- flow
     s_u = data.area_undeformed
     local_law = ClosureConfig(wall = PCNDECore.WallClosure(law = "local"))
-    coupled = (outlet, losses, wall, data.inflow, s_u, [5.0, 20.0])
+    coupled = (outlet, losses, wall, data.inflow, s_u, here, [5.0, 20.0])
     for (name, θ, inputs, config) in (
         ("losses", losses, (flow, flow_rate, s_u), with_hidden),
         ("losses", losses, (.-flow, flow_rate, s_u), with_hidden),

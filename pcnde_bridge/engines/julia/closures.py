@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
 
@@ -30,23 +32,6 @@ class JuliaClosures(Closures):
         self._call = call
         self._buffers = Buffers()
 
-    def losses(
-        self,
-        flow: Array,
-        flow_rate: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: ClosureConfig,
-    ) -> Problem:
-        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return self._problem("losses", (flow, flow_rate, area_undeformed), grid, config)
-
-    def area(
-        self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
-    ) -> Problem:
-        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return self._problem("area", (pressure, area_undeformed), grid, config)
-
     def flow(
         self,
         others: ClosureParameters,
@@ -56,21 +41,10 @@ class JuliaClosures(Closures):
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
-        fixed = others.outlet, others.losses, others.wall, inflow, area_undeformed, points
-        return self._problem("flow", fixed, grid, config)
-
-    def wall_shear_stress(
-        self,
-        others: ClosureParameters,
-        flow: Array,
-        flow_rate: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: ClosureConfig,
-    ) -> Problem:
-        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        given = others.losses, flow, flow_rate, area_undeformed
-        return self._problem("wall_shear_stress", given, grid, config)
+        inside = internal_points(grid.z, config.losses.spacing)
+        fixed = others.outlet, others.losses, others.wall, inflow, inside.area(area_undeformed)
+        on_inside = replace(grid, z=inside.z)
+        return self._problem("flow", (*fixed, inside.outward, points), on_inside, config)
 
     def predict(
         self,
@@ -83,17 +57,24 @@ class JuliaClosures(Closures):
         inflow, area_undeformed, grid = inputs
         shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
-        given = *dict(parameters).values(), shift, inflow, area_undeformed, grid.z
+        inside = internal_points(grid.z, config.losses.spacing)
+        vessels = inside.area(area_undeformed), inside.z, inside.outward
+        given = *dict(parameters).values(), shift, inflow, *vessels
         # Referenced here, because Julia uses their memory until it returns.
         outputs = [field for field in result if field is not None]
         arrays = [*outputs, *(np.ascontiguousarray(a, np.float64) for a in given)]
         self._call("predict_closures", config, float(grid.period), in_place=arrays)
         return result
 
-    def _problem(self, name: str, *data: Any) -> Problem:
+    def _problem(
+        self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
+    ) -> Problem:
+        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
+        arrays = tuple(a.losses if isinstance(a, ClosureParameters) else a for a in data)
+
         # No Julia object is stored, which another thread might release.
         def evaluate(parameters: Array) -> tuple[Array, Array]:
-            value, jacobian = self._call("closure", name, parameters, *data)
+            value, jacobian = self._call("closure", name, parameters, arrays, grid, config)
             return value, jacobian
 
         return evaluate

@@ -154,10 +154,13 @@ function (closure::ShearClosure)(parameters::Vector{T}) where {T}
 end
 
 """
-    FlowClosure(outlet, losses, wall, inflow, area_undeformed, points, z, period, config)
+    FlowClosure(
+        outlet, losses, wall, inflow, area_undeformed, outward, points, z, period, config,
+    )
 
 Q, mL/s, (point, time, case), of the coupled equations, as a function of the parameters of the
-correction. `points` are indices in z.
+correction. `outward` (given, z) interpolates from z to the given points, of which `points` are
+indices.
 """
 struct FlowClosure
     outlet::OutletLaw
@@ -170,9 +173,10 @@ struct FlowClosure
 end
 
 function FlowClosure(
-    outlet, losses, wall, inflow, area_undeformed, points, z, period, config::ClosureConfig,
+    outlet, losses, wall, inflow, area_undeformed, outward, points, z, period,
+    config::ClosureConfig,
 )
-    vessels = VesselCache(wall, losses, zeros(N_SHEAR), z, config)
+    vessels = VesselCache(wall, losses, zeros(N_SHEAR), z, outward, config)
     harmonics = Harmonics(size(inflow, 1), period)
     return FlowClosure(
         OutletLaw(outlet, size(inflow, 1), period),
@@ -206,35 +210,38 @@ function (closure::FlowClosure)(parameters::Vector{T}) where {T}
 end
 
 """
-    VesselCache(wall, losses, shear, z, config)
+    VesselCache(wall, losses, shear, z, outward, config)
 
-Function that returns the [`VesselModes`](@ref) of a vessel, S_u (z), and caches them: many
-waveforms usually share few vessels. Threads may share it.
+Function that returns the [`VesselModes`](@ref) of a vessel, S_u (z), at the points to which
+`outward` (given, z) interpolates, and caches them: many waveforms usually share few vessels.
+Threads may share it.
 """
 struct VesselCache
     wall::Vector{Float64}
     losses::Vector{Float64}
     shear::Vector{Float64}
     z::Vector{Float64}
+    outward::Matrix{Float64}
     config::ClosureConfig
     cached::Dict{Vector{Float64}, VesselModes}
     lock::ReentrantLock
 end
 
-function VesselCache(wall, losses, shear, z, config)
+function VesselCache(wall, losses, shear, z, outward, config)
     cached = Dict{Vector{Float64}, VesselModes}()
-    copies = map(copy, (wall, losses, shear, z))
+    copies = map(copy, (wall, losses, shear, z, outward))
     return VesselCache(copies..., config, cached, ReentrantLock())
 end
 
-VesselCache() = VesselCache(ntuple(_ -> Float64[], 4)..., ClosureConfig())
+VesselCache() = VesselCache(ntuple(_ -> Float64[], 4)..., zeros(0, 0), ClosureConfig())
 
 function (vessels::VesselCache)(area_undeformed::AbstractVector{Float64})
-    (; wall, losses, shear, z, config, cached) = vessels
+    (; wall, losses, shear, z, outward, config, cached) = vessels
     modes = @lock vessels.lock get(cached, area_undeformed, nothing)
     modes === nothing || return modes
     area = Vector(area_undeformed)
-    new_modes = VesselModes(wall, losses, shear, area, z, config.wall.law, config.physics)
+    modes_at_z = VesselModes(wall, losses, shear, area, z, config.wall.law, config.physics)
+    new_modes = interpolated(modes_at_z, outward)
     @lock vessels.lock begin
         length(cached) < MAX_CACHED_VESSELS || empty!(cached)
         cached[area] = new_modes
@@ -259,12 +266,12 @@ ClosureWorkspace(harmonics::Harmonics, n_points::Integer) = ClosureWorkspace(
 
 """
     predict_closures!(
-        flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, period,
-        config,
+        flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, outward,
+        period, config,
     )
 
-Compute flow, area, pressure and the magnitude of the wall shear stress, (z, time, case), mL/s,
-cm² and dyn/cm². The result of a case does not depend on the other cases.
+Compute flow, area, pressure and the magnitude of the wall shear stress, (given, time, case),
+mL/s, cm² and dyn/cm². The result of a case does not depend on the other cases.
 
 # Arguments
 
@@ -272,7 +279,9 @@ cm² and dyn/cm². The result of a case does not depend on the other cases.
   - `shift`: added to the argument of the correction's sigmoid, (case).
   - `inflow`: Q(z=0, t), mL/s, (time, case).
   - `area_undeformed`: S_u, cm², (z, case).
-  - `z`, `period`: points, cm, and cycle length, s.
+  - `z`, `outward`: points, cm, at which the equations are solved, and the matrix (given, z)
+    that interpolates to the given points.
+  - `period`: cycle length, s.
   - `config`: a [`ClosureConfig`](@ref).
 
 # Throws
@@ -280,19 +289,19 @@ cm² and dyn/cm². The result of a case does not depend on the other cases.
 `SolveError` if the coupling passes of a case do not converge.
 """
 function predict_closures!(
-    flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, period,
-    config::ClosureConfig,
+    flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, outward,
+    period, config::ClosureConfig,
 )
     outlet_parameters, losses, wall, correction, shear_parameters = parameters
     n_times, n_cases = size(inflow)
     harmonics = cached_harmonics!(STATE, n_times, period)
     outlet = OutletLaw(outlet_parameters, n_times, period)
-    vessels = cached_vessels!(STATE, wall, losses, shear_parameters, z, config)
+    vessels = cached_vessels!(STATE, wall, losses, shear_parameters, z, outward, config)
     # Larger amplitudes need more passes: batches of similar amplitude need similarly many.
     order = sortperm(vec(maximum(abs, inflow; dims = 1)); rev = true)
     converged = fill(false, n_cases)
     threaded_batches(n_cases, BATCH_SIZE) do batches
-        workspace = acquire_workspace!(STATE, harmonics, length(z))
+        workspace = acquire_workspace!(STATE, harmonics, size(outward, 1))
         for batch in batches
             cases = view(order, batch)
             selected = [vessels(view(area_undeformed, :, case)) for case in cases]

@@ -77,6 +77,19 @@ function VesselModes(wall, loss, shear, area_undeformed, z, law, physics::Physic
 end
 
 """
+    interpolated(modes, outward)
+
+[`VesselModes`](@ref) at other points; `outward` (point, z) is the interpolation.
+"""
+function interpolated(modes::VesselModes, outward)
+    (; flow, area, pressure, shear, flow_slope, area_slope, reference_flow) = modes
+    at_points = map(
+        values -> outward * values, (flow, area, pressure, shear, flow_slope, area_slope),
+    )
+    return VesselModes(at_points..., reference_flow)
+end
+
+"""
     OutletLaw(parameters, n_times, period)
 
 p(L) = p_d + 𝒵 Q(L) with 𝒵(ω) = R₁ + R₂/(1 + iωR₂C); `parameters` are R₁, R₂, C, p_d. For the

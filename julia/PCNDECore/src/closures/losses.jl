@@ -6,11 +6,16 @@
 #     c_c·ρ/2·Δ(U²) + φ·Δz,    U = Q/(S_u·m(d)),    where the flow fills a narrowing vessel,
 #     c_j·ρ·Q²/S_u·Δ(1/A_j) + φ·Δz                  elsewhere,
 #
-# with a friction φ of c_f·4μU·d⁶/r_u² where the flow fills the vessel, and of c_s·8πμQ/S_u²
-# where it is separated. In a straight vessel, the first is c_f times Poiseuille's friction. For
-# a sudden expansion, the second line is the loss of Borda and Carnot, and the pressure drop
-# that is not recovered has the form of Seeley and Young's turbulent term. For reversed flow,
-# the vessel is mirrored.
+# with the friction
+#
+#     φ = f·c_f·4μU·d⁶/r_u² + (1 − f)·c_s·8πμQ/S_u²,    f = β·A_j/S_u,
+#
+# which in a straight vessel is c_f times Poiseuille's. The two lines are weighted with the share
+# of the interval in which the vessel narrows, times f⁸, and the rest: nothing jumps where
+# the flow separates, and the drop does not depend on the position of the points. For a sudden
+# expansion, the second line is the loss of Borda and Carnot, and the pressure drop that is not
+# recovered has the form of Seeley and Young's turbulent term. For reversed flow, the vessel is
+# mirrored.
 #
 # The drop is computed at three Reynolds numbers, and interpolated by
 #
@@ -40,6 +45,16 @@ const FLOW_RATIOS = (0.5, 2.0, 8.0)
 Matrix (3, 3) from the drops at the [`FLOW_RATIOS`](@ref) to D₁, D₂, D₃.
 """
 const DROP_TO_FACTORS = inv(reduce(vcat, [[x x^2/(1 + x) x^2] for x in FLOW_RATIOS]))
+
+"""
+Slope r/S_u·dS_u/dz below which a vessel counts as straight.
+"""
+const STRAIGHT_SLOPE = 1e-3
+
+"""
+Power of the filled share that weights the acceleration of the core.
+"""
+const FILLED_POWER = 8
 
 """
 Functions of z that belong to the [`directed_modes`](@ref): each is the product of a term of
@@ -204,27 +219,44 @@ function steady_drop(
     (; density, viscosity) = physics
     function local_flow(i)
         area, d = area_undeformed[i], layer[i]
-        filled = fills(jet[i], area, jet_momentum)
+        ratio = jet_momentum * jet[i] / area
         core_speed = flow / (area * mean_speed(d))
         attached = friction * 4π * viscosity * core_speed * d^6 / area
         separated = jet_friction * 8π * viscosity * flow / area^2
-        return area, filled, core_speed, (attached, separated)
+        return area, ratio, core_speed, ratio * attached + (1 - ratio) * separated
     end
     drop = Vector{T}(undef, length(z) - 1)
-    s, _, speed, loss = local_flow(1)
+    narrowing = narrowing_shares(area_undeformed, z)
+    s, filled, speed, loss = local_flow(1)
     for i in eachindex(drop)
-        next_s, filled, next_speed, next_loss = local_flow(i + 1)
-        kind = filled ? 1 : 2
-        drop[i] = (loss[kind] + next_loss[kind]) / 2 * (z[i + 1] - z[i])
-        if filled && next_s <= s
-            drop[i] += core * density / 2 * (next_speed^2 - speed^2)
-        else
-            change = 1 / jet[i + 1] - 1 / jet[i]
-            drop[i] += jet_recovery * flow^2 * density * middle_inverse(s, next_s) * change
-        end
-        s, speed, loss = next_s, next_speed, next_loss
+        next_s, next_filled, next_speed, next_loss = local_flow(i + 1)
+        share = narrowing[i] * ((filled + next_filled) / 2)^FILLED_POWER
+        accelerated = core * density / 2 * (next_speed^2 - speed^2)
+        change = 1 / jet[i + 1] - 1 / jet[i]
+        mixed = jet_recovery * flow^2 * density * middle_inverse(s, next_s) * change
+        drop[i] =
+            share * accelerated + (1 - share) * mixed +
+            (loss + next_loss) / 2 * (z[i + 1] - z[i])
+        s, filled, speed, loss = next_s, next_filled, next_speed, next_loss
     end
     return drop
+end
+
+"""
+    narrowing_shares(area_undeformed, z)
+
+Share of each interval in which the vessel narrows, (z − 1).
+"""
+function narrowing_shares(area_undeformed, z)
+    slope = central_difference(area_undeformed, z, 1)
+    straight = STRAIGHT_SLOPE .* sqrt.(π .* area_undeformed)
+    return map(1:(length(z) - 1)) do i
+        falls = max(-slope[i], 0) + max(-slope[i + 1], 0)
+        rises = max(slope[i], 0) + max(slope[i + 1], 0)
+        level = (straight[i] + straight[i + 1]) / 2
+        steep = falls + rises
+        falls * steep / (steep^2 + level^2)
+    end
 end
 
 """

@@ -9,7 +9,7 @@
 # thickness δ = d·r_u, and
 #
 #   - the layer's shear relative to Poiseuille's, b = U_e/(2·d·Q/S_u). The speed at its edge is
-#     U_e = U − 0.8·r_u²·U''/8: streamlines that bend into the throat are faster near the wall;
+#     U_e = U − 0.6·r_u²·U''/8: streamlines that bend into the throat are faster near the wall;
 #   - the pressure gradient in the layer, Λ = δ²·U_e'/ν, which is Pohlhausen's parameter: b·√Λ is
 #     the shear of a layer in an accelerating flow, U_e·√(U_e'/ν) (Falkner and Skan);
 #   - l = ln(S_u/(β·A_j)), by which the flow near the wall turns back where it is separated.
@@ -31,9 +31,14 @@ Number of parameters, c₀ to c₈, and of [`ShearTerms`](@ref) for each directi
 const N_SHEAR = 9
 
 """
+Intervals on either side of a point from which derivatives are computed.
+"""
+const DERIVATIVE_WIDTH = 2
+
+"""
 Effect of the streamlines' curvature on U_e; 1 in a potential flow.
 """
-const EDGE_CURVATURE = 0.8
+const EDGE_CURVATURE = 0.6
 
 """
 Λ at which the effect of a deceleration on the layer is limited.
@@ -125,7 +130,7 @@ function steady_shear(flow::SteadyFlow, momentum, area_undeformed, z, physics)
     bend = radius .^ 2 .* second_difference(core, z)
     edge = max.(core .- (EDGE_CURVATURE / 8) .* bend, 0)
     shear = edge ./ (2 .* d .* mean)
-    gradient = (radius .* d) .^ 2 ./ kinematic .* central_difference(edge, z)
+    gradient = (radius .* d) .^ 2 ./ kinematic .* central_difference(edge, z, DERIVATIVE_WIDTH)
     accelerating = max.(gradient, 0)
     jet = area_undeformed ./ (momentum .* flow.jet)
     mixing = near_root.(jet .- 1)
@@ -160,14 +165,14 @@ R(x), almost the square root of a positive x; it does not amplify round-off.
 near_root(x) = max(x, 0) / sqrt(max(x, 0) + SMALL_ROOT)
 
 """
-    central_difference(values, z)
+    central_difference(values, z, width)
 
-Derivative of values at the points; zero at the first and the last point.
+Derivative of values over `width` intervals on either side; zero at the ends.
 """
-function central_difference(values, z)
+function central_difference(values, z, width)
     result = zero(values)
-    for i in 2:(length(z) - 1)
-        result[i] = (values[i + 1] - values[i - 1]) / (z[i + 1] - z[i - 1])
+    for i in (1 + width):(length(z) - width)
+        result[i] = (values[i + width] - values[i - width]) / (z[i + width] - z[i - width])
     end
     return result
 end
@@ -175,13 +180,14 @@ end
 """
     second_difference(values, z)
 
-Second derivative of values at the points; zero at the first and the last point.
+Second derivative of values over [`DERIVATIVE_WIDTH`](@ref) intervals on either side; zero at
+the ends.
 """
 function second_difference(values, z)
-    result = zero(values)
-    slopes = diff(values) ./ diff(z)
-    for i in 2:(length(z) - 1)
-        result[i] = 2 * (slopes[i] - slopes[i - 1]) / (z[i + 1] - z[i - 1])
+    result, width = zero(values), DERIVATIVE_WIDTH
+    slope(i) = (values[i + width] - values[i]) / (z[i + width] - z[i])
+    for i in (1 + width):(length(z) - width)
+        result[i] = 2 * (slope(i) - slope(i - width)) / (z[i + width] - z[i - width])
     end
     return result
 end

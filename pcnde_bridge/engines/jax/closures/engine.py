@@ -19,6 +19,7 @@ from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallC
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures import wall_shear_stress
 from pcnde_bridge.engines.jax.closures.coupling import Coupled, VesselModes, couple, vessel_modes
@@ -48,23 +49,6 @@ class JaxClosures(Closures):
     def __init__(self) -> None:
         self._buffers = Buffers()
 
-    def losses(
-        self,
-        flow: Array,
-        flow_rate: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: ClosureConfig,
-    ) -> Problem:
-        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return _problem(_losses, (flow, flow_rate, area_undeformed), (grid.z,), config)
-
-    def area(
-        self, pressure: Array, area_undeformed: Array, grid: Grid, config: ClosureConfig
-    ) -> Problem:
-        """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        return _problem(_area, (pressure, area_undeformed), (grid.z,), config)
-
     def flow(
         self,
         others: ClosureParameters,
@@ -74,22 +58,23 @@ class JaxClosures(Closures):
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
-        (modes, _), which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
+        (modes, _), which = _vessels_of(others, area_undeformed, grid, config)
         vessels = jax.tree.map(lambda array: array[which], modes)
         fixed = others.outlet, others.wall, points, grid.period
         return _problem(_flow, (vessels, inflow), fixed, config)
 
-    def wall_shear_stress(
-        self,
-        others: ClosureParameters,
-        flow: Array,
-        flow_rate: Array,
-        area_undeformed: Array,
-        grid: Grid,
-        config: ClosureConfig,
+    def _problem(
+        self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        (modes, terms), which = _vessels_of(others, area_undeformed, grid.z, _relevant(config))
+        if name == "area":
+            return _problem(_area, data, (grid.z,), config)
+        *parameters, flow, flow_rate, area_undeformed = data
+        distinct, which = np.unique(area_undeformed, axis=0, return_inverse=True)
+        if name == "losses":
+            return _problem(_losses, (which, flow, flow_rate), (distinct, grid.z), config)
+        own_points = config.replace(losses={"spacing": None})
+        (modes, terms), which = _vessels_of(parameters[0], area_undeformed, grid, own_points)
         vessels = jax.tree.map(lambda array: array[which], (terms, modes.reference_flow))
         return _problem(_wall_shear_stress, (*vessels, flow, flow_rate), (), config)
 
@@ -105,7 +90,7 @@ class JaxClosures(Closures):
         settings, count = _relevant(config), len(inflow)
         shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
-        (vessels, _), which = _vessels_of(parameters, area_undeformed, grid.z, settings)
+        (vessels, _), which = _vessels_of(parameters, area_undeformed, grid, config)
 
         def compute(start: int) -> Array:
             rows = slice(start, start + _BATCH)
@@ -135,7 +120,7 @@ class JaxClosures(Closures):
 
 
 def _vessels_of(
-    parameters: ClosureParameters, area_undeformed: Array, z: Array, config: ClosureConfig
+    parameters: ClosureParameters, area_undeformed: Array, grid: Grid, config: ClosureConfig
 ) -> tuple[tuple[VesselModes, Terms], IntArray]:
     """Return the distinct vessels, and which of them each case has: waveforms share vessels."""
     vessel_of = [s.tobytes() for s in area_undeformed]
@@ -143,23 +128,35 @@ def _vessels_of(
     row = {vessel: number for number, vessel in enumerate(distinct)}
     which = np.array([row[vessel] for vessel in vessel_of])
     vectors = parameters.wall, parameters.losses, parameters.wall_shear_stress
-    key = *(vector.tobytes() for vector in vectors), b"".join(distinct), z.tobytes()
-    return _distinct_vessels(*key, config), which
+    key = *(vector.tobytes() for vector in vectors), b"".join(distinct), grid.z.tobytes()
+    return _distinct_vessels(*key, config.losses.spacing, _relevant(config)), which
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=8)  # the members of a sampled model have different losses
 def _distinct_vessels(
-    wall: bytes, loss: bytes, shear: bytes, area_undeformed: bytes, z: bytes, config: ClosureConfig
+    wall: bytes,
+    loss: bytes,
+    shear: bytes,
+    area_undeformed: bytes,
+    z: bytes,
+    spacing: float | None,
+    config: ClosureConfig,
 ) -> tuple[VesselModes, Terms]:
     """Integrate along vessels; consecutive predictions often have the same ones."""
-    points, *vectors = map(np.frombuffer, (z, wall, loss, shear))
-    areas = np.frombuffer(area_undeformed).reshape(-1, points.size)
+    given, *vectors = map(np.frombuffer, (z, wall, loss, shear))
+    points = internal_points(given, spacing)
+    areas = points.area(np.frombuffer(area_undeformed).reshape(-1, given.size))
+
+    def at_given(values: Any) -> Array:
+        values = np.asarray(values)
+        return values @ points.outward if values.ndim > 1 else values
+
     parts = []
     with double_precision():
         for start in range(0, len(areas), _BATCH):
             s_u = _padded(areas[start : start + _BATCH])
-            modes = _vessels(*vectors, s_u, points, config=config)
-            parts.append(jax.tree.map(np.asarray, modes))
+            modes = _vessels(*vectors, s_u, points.z, config=config)
+            parts.append(jax.tree.map(at_given, modes))
     vessels: tuple[VesselModes, Terms] = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     return vessels
 
@@ -215,17 +212,30 @@ def _relevant(config: ClosureConfig) -> ClosureConfig:
     )
 
 
-def _losses(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
-    (flow, flow_rate, s), (z,) = case, fixed
-    return losses.drop(parameters, flow, flow_rate, s, z, config.physics)
+def _each_case(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """Return the function of all cases for that of one case."""
+
+    def all_cases(parameters: jax.Array, cases: Any, *settings: Any) -> jax.Array:
+        return jax.vmap(lambda *case: function(parameters, case, *settings))(*cases)
+
+    return all_cases
 
 
+def _losses(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
+    (which, *flows), (areas, z) = cases, fixed
+    one_vessel = partial(losses.coefficients, parameters, z=z, physics=config.physics)
+    vessels = jax.tree.map(lambda array: array[which], jax.vmap(one_vessel)(areas))
+    return jax.vmap(partial(losses.drop, z=z))(vessels, *flows)
+
+
+@_each_case
 def _area(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
     (pressure, s), (z,) = case, fixed
     moved = displacement(parameters, pressure - parameters[-1], s, z, config.wall.law)
     return jnp.pi * (jnp.sqrt(s / jnp.pi) + moved) ** 2
 
 
+@_each_case
 def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
     (vessel, inflow), (outlet, wall, points, period) = case, fixed
     vectors = outlet, wall, parameters
@@ -236,6 +246,7 @@ def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
     return result
 
 
+@_each_case
 def _wall_shear_stress(
     parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig
 ) -> jax.Array:
@@ -278,9 +289,12 @@ def solve_one(
         Settings of the model.
     """
     outlet, wall, correction = (parameters[n] for n in ("outlet", "wall", "correction"))
-    loss, shear, z = parameters["losses"], parameters["wall_shear_stress"], jnp.asarray(grid.z)
+    loss, shear = parameters["losses"], parameters["wall_shear_stress"]
     law, physics = config.wall.law, config.physics
-    vessel, _ = vessel_modes(wall, loss, shear, area_undeformed, z, law, physics)
+    z, inward, outward = map(jnp.asarray, internal_points(grid.z, config.losses.spacing))
+    area = jnp.exp(jnp.log(area_undeformed) @ inward)
+    vessel, _ = vessel_modes(wall, loss, shear, area, z, law, physics)
+    vessel = jax.tree.map(lambda values: values @ outward if values.ndim else values, vessel)
     at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
     case = jnp.zeros(()), inflow, *at_outlet, jnp.asarray(grid.period)
     found = couple(outlet, wall, correction, *case, config.correction)
@@ -302,7 +316,7 @@ def _value_and_jacobian(
     config: ClosureConfig,
 ) -> tuple[jax.Array, jax.Array]:
     def values(x: jax.Array) -> jax.Array:
-        return jax.vmap(lambda *case: function(x, case, fixed, config))(*cases)
+        return function(x, cases, fixed, config)
 
     def push(tangent: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(values, (parameters,), (tangent,))

@@ -7,8 +7,13 @@ steady flow Q falls by
     c_c·ρ/2·Δ(U²) + φ·Δz,    U = Q/(S_u·m(d)),    where the flow fills a narrowing vessel,
     c_j·ρ·Q²/S_u·Δ(1/A_j) + φ·Δz                  elsewhere,
 
-with a friction φ of c_f·4μU·d⁶/r_u² where the flow fills the vessel, and of c_s·8πμQ/S_u²
-where it is separated: in a straight vessel the first is c_f times Poiseuille's.  For
+with the friction
+
+    φ = f·c_f·4μU·d⁶/r_u² + (1 − f)·c_s·8πμQ/S_u²,    f = β·A_j/S_u,
+
+which in a straight vessel is c_f times Poiseuille's.  The two lines are weighted with the share n
+of the interval in which the vessel narrows, times f⁸, and the rest: nothing jumps where
+the flow separates, and the drop does not depend on the position of the points.  For
 a sudden expansion the second line is the loss of Borda and Carnot, and the pressure drop that is
 not recovered has the form of Seeley and Young's turbulent term.  For reversed flow the vessel
 is mirrored.
@@ -53,6 +58,12 @@ _FLOWS = np.array([0.5, 2.0, 8.0])
 
 _TO_FACTORS = np.linalg.inv(np.stack([_FLOWS, _FLOWS**2 / (1 + _FLOWS), _FLOWS**2], axis=1))
 """Matrix (3, 3) from the drops at these flows to D₁, D₂, D₃."""
+
+_FILLED_POWER = 8
+"""Power of the filled share that weights the acceleration of the core."""
+
+_STRAIGHT = 1e-3
+"""Slope r/S_u·dS_u/dz below which a vessel counts as straight."""
 
 _FACTORS, _NUMBERS, _POWERS = np.array(
     [
@@ -173,21 +184,30 @@ def _directed(
         p.jet_viscous_spread,
     )
     steps = jnp.diff(z)
-    filled = jet >= area / p.jet_momentum
     core = flow / (area * mean_speed(layer))
     attached = p.friction * 4 * jnp.pi * viscosity * core * layer**6 / area
     separated = p.jet_friction * 8 * jnp.pi * viscosity * flow / area**2
-    friction = jnp.where(filled[:, 1:], _middle(attached), _middle(separated)) * steps
+    filled = p.jet_momentum * jet / area
+    friction = _middle(filled * attached + (1 - filled) * separated) * steps
     # With this mean the intervals that the flow fills add up to the change of 1/(2·S_u²) exactly.
     per_area = density * _middle(1 / area)
     accelerated = p.core * density / 2 * jnp.diff(core**2)
     mixed = p.jet_recovery * flow**2 * per_area * jnp.diff(1 / jet)
-    narrows = filled[:, 1:] & (jnp.diff(area) <= 0)
-    factors = to_factors(jnp.where(narrows, accelerated, mixed) + friction)
+    narrows = _narrowing_share(area, z) * _middle(filled) ** _FILLED_POWER
+    factors = to_factors(narrows * accelerated + (1 - narrows) * mixed + friction)
     lag = (1 / jet - p.jet_momentum / area) * volume
     # The lag is computed at the second flow.
     drops = jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
     return drops, Marched(area, z, flow, layer, area / (p.jet_momentum * jet))
+
+
+def _narrowing_share(area: jax.Array, z: jax.Array) -> jax.Array:
+    """Return n, the share of each interval, (z − 1,), in which the vessel narrows."""
+    slope = jnp.pad((area[2:] - area[:-2]) / (z[2:] - z[:-2]), 1)
+    falls, rises = (2 * _middle(jnp.maximum(sign * slope, 0)) for sign in (-1, 1))
+    straight = _STRAIGHT * _middle(jnp.sqrt(jnp.pi * area))
+    steep = falls + rises
+    return falls * steep / (steep**2 + straight**2)
 
 
 def to_factors(of_flows: jax.Array) -> jax.Array:
@@ -205,16 +225,8 @@ def steady(flow: jax.Array) -> _Signals:
     return flow, flow**2 / (1 + flow), flow**2
 
 
-def drop(
-    parameters: jax.Array,
-    flow: jax.Array,
-    flow_rate: jax.Array,
-    area_undeformed: jax.Array,
-    z: jax.Array,
-    physics: Physics,
-) -> jax.Array:
+def drop(c: Coefficients, flow: jax.Array, flow_rate: jax.Array, z: jax.Array) -> jax.Array:
     """Return p − p(L), (time, z), of a given flow Q and its rate, both (time, z)."""
-    c = coefficients(parameters, area_undeformed, z, physics)
     x = _middle(flow) / c.reference_flow
     functions = jnp.stack([*steady(jnp.abs(x)), jnp.sign(x) * _middle(flow_rate)])
     factors = jnp.where(x > 0, c.forward[:, None], c.back[:, None])

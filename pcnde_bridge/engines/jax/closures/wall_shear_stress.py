@@ -9,7 +9,7 @@ where R(x) = x/√(x + 0.3) for x > 0, else 0, is almost √x, with the core's s
 thickness δ = d·r_u
 (:mod:`~pcnde_bridge.engines.jax.closures.boundary_layer`), and
 
-- the layer's shear over Poiseuille's, b = U_e/(2·d·Q/S_u), where U_e = U − 0.8·r_u²·U''/8 is the
+- the layer's shear over Poiseuille's, b = U_e/(2·d·Q/S_u), where U_e = U − 0.6·r_u²·U''/8 is the
   speed at its edge: streamlines that bend into the throat are faster near the wall;
 - the pressure gradient in the layer, Λ = δ²·U_e'/ν, which is Pohlhausen's parameter: b·√Λ is the
   shear of a layer in an accelerating flow, U_e·√(U_e'/ν) (Falkner and Skan);
@@ -39,7 +39,10 @@ from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.boundary_layer import mean_speed
 from pcnde_bridge.engines.jax.closures.pressure_losses import Coefficients, Marched
 
-_CURVATURE = 0.8
+_WIDTH = 2
+"""Intervals on either side of a point from which derivatives are computed."""
+
+_CURVATURE = 0.6
 """Effect of the streamlines' curvature on U_e; 1 in a potential flow."""
 
 _DECELERATION = 20.0
@@ -86,9 +89,9 @@ def _directed(marched: Marched, physics: Physics) -> jax.Array:
     radius = jnp.sqrt(area / jnp.pi)
     mean = flow / area
     core = mean / mean_speed(d)
-    edge = jnp.maximum(core - _CURVATURE / 8 * radius**2 * _second_derivative(core, z), 0)
+    edge = jnp.maximum(core - _CURVATURE / 8 * radius**2 * _derivatives(core, z)[1], 0)
     shear = edge / (2 * d * mean)
-    gradient = (radius * d) ** 2 / kinematic * _derivative(edge, z)
+    gradient = (radius * d) ** 2 / kinematic * _derivatives(edge, z)[0]
     accelerating = jnp.maximum(gradient, 0)
     mixing = _root(jet - 1)
     sources = (gradient, *(accelerating,) * 3, gradient, mixing)
@@ -124,16 +127,14 @@ def _root(values: jax.Array) -> jax.Array:
     return positive / jnp.sqrt(positive + _SMALL_ROOT)
 
 
-def _derivative(values: jax.Array, z: jax.Array) -> jax.Array:
-    """Return the derivative along the last axis, zero at its ends."""
-    inside = (values[..., 2:] - values[..., :-2]) / (z[2:] - z[:-2])
-    return jnp.pad(inside, [(0, 0)] * (values.ndim - 1) + [(1, 1)])
-
-
-def _second_derivative(values: jax.Array, z: jax.Array) -> jax.Array:
-    """Return the second derivative along the last axis, zero at its ends."""
-    inside = 2 * jnp.diff(jnp.diff(values) / jnp.diff(z)) / (z[2:] - z[:-2])
-    return jnp.pad(inside, [(0, 0)] * (values.ndim - 1) + [(1, 1)])
+def _derivatives(values: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the first two derivatives along the last axis, zero at its ends."""
+    both = 2 * _WIDTH
+    slopes = (values[..., _WIDTH:] - values[..., :-_WIDTH]) / (z[_WIDTH:] - z[:-_WIDTH])
+    first = (values[..., both:] - values[..., :-both]) / (z[both:] - z[:-both])
+    second = 2 * (slopes[..., _WIDTH:] - slopes[..., :-_WIDTH]) / (z[both:] - z[:-both])
+    ends = [(0, 0)] * (values.ndim - 1) + [(_WIDTH, _WIDTH)]
+    return jnp.pad(first, ends), jnp.pad(second, ends)
 
 
 def _relaxed(source: jax.Array, length: jax.Array, z: jax.Array) -> jax.Array:
