@@ -150,7 +150,7 @@ def vessels(closures, z):
 @pytest.mark.parametrize(
     ("refinement", "parameters", "name", "tolerance"),
     [
-        # Friction jumps within an interval where the flow separates: first order, 1.2e-3.
+        # The weights change within few intervals where the flow separates.
         pytest.param(REFINEMENT, "losses", "losses", 3e-3, id="without a grid"),
         # Four times as many points divide the error by 9: from 1.1e-3 to 1.2e-4.
         pytest.param(REFINEMENT, "frictionless", "frictionless", 4e-4, id="without friction"),
