@@ -223,7 +223,7 @@ def calibrate(
         if truth.wall_shear_stress is not None:
             shear = plain["wall_shear_stress"][0]
             scale = _poiseuille(inputs, reference, model.config)
-            parts = shear - truth.wall_shear_stress, shear, scale
+            parts = shear - np.abs(truth.wall_shear_stress), shear, scale
             at_points = [np.moveaxis(part, 1, -1).reshape(-1, shear.shape[1]) for part in parts]
             shears.append(np.stack(at_points))
         spreads.append([np.zeros_like(errors[-1])])

@@ -45,7 +45,9 @@ FACTORS = {name: factor for name, (*_, factor) in QUANTITIES.items()}
 def model():
     """Model of the preset ``physics``, with given parameters instead of a fit."""
     rng = np.random.default_rng(7)
-    members = CORRECTED.correction + 0.3 * np.where(np.arange(21) < 4, 0, rng.normal(size=(2, 21)))
+    corrections = 0.3 * np.where(np.arange(21) < 4, 0, rng.normal(size=(2, 21)))
+    corrections += CORRECTED.correction
+    members = np.array([CORRECTED.replace(correction=one).refitted for one in corrections])
     uncertainty = Uncertainty(
         members,
         np.array([0.5]),
