@@ -180,7 +180,7 @@ def demo(
     seed: int = option(0, "Random seed of the waveforms and of the training.", min=0),
     engine: EngineName = options.ENGINE,
 ) -> None:
-    """Simulate, train, and predict the FFR of a vessel, in three minutes."""
+    """Simulate, train and predict FFR, in three minutes."""
     import pandas as pd
 
     from pcnde_bridge.cli.demo import run_demo
