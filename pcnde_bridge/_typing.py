@@ -1,7 +1,5 @@
 """Type aliases shared by all subpackages."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

@@ -4,8 +4,6 @@ Each message says what is wrong, where, and what to do.  Errors about input are 
 :class:`ValueError`, as users of scikit-learn and numpy expect.
 """
 
-from __future__ import annotations
-
 
 class PCNDEError(Exception):
     """Base class of all errors that this package raises intentionally."""

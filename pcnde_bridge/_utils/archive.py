@@ -3,8 +3,6 @@
 An archive is a ``.npz`` file without pickled objects, whatever the ending of its name.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Short representations of objects: one line of text, and a table in notebooks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields
 from html import escape

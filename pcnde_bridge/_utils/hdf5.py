@@ -1,7 +1,5 @@
 """Reading data sets of HDF5 files that may be foreign or damaged."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

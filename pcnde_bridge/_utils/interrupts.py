@@ -1,7 +1,5 @@
 """Reliable handling of Ctrl-C during long computations."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ JAX stores compiled functions in a folder and loads them in the next process, so
 fit compiles nothing.  Its keys contain the function, JAX's version and its options.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import os

@@ -22,8 +22,6 @@ cores that the process may use, or the environment variable ``NPROC``, or one in
 :func:`processes`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import operator

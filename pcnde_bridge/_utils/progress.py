@@ -1,7 +1,5 @@
 """Progress of long computations, in terminals, notebooks and log files."""
 
-from __future__ import annotations
-
 import time
 from typing import Any, Self
 

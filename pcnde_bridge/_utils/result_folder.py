@@ -1,7 +1,5 @@
 """Results of tasks stored in a folder, one file each, so that a killed run can be resumed."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

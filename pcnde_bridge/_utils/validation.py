@@ -1,7 +1,5 @@
 """Checks of arguments: each returns the usable value or raises an ``InputError``."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence

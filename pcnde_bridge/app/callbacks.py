@@ -9,8 +9,6 @@ These two report that they are done through ``set_props``, not through an output
 Dash would delay drawing until the outputs that it depends on are available.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import logging

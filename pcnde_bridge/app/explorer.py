@@ -1,7 +1,5 @@
 """Curves on the page: predictions, intervals and the 1D solver's solution, cached."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping
 from functools import cached_property

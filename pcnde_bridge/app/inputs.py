@@ -3,8 +3,6 @@
 The controls extend somewhat beyond the training data, as far as the model knows them.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Layout of the page: its controls and its two columns of graphs."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from typing import Any
 

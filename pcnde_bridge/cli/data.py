@@ -1,7 +1,5 @@
 """Commands about data and the machine: simulate, convert, download, doctor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal

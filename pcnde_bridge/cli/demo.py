@@ -1,7 +1,5 @@
 """``pcnde demo``: from synthetic data to a fitted model and its predictions."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

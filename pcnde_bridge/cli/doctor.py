@@ -1,7 +1,5 @@
 """Findings of ``pcnde doctor``: engines and data on this machine."""
 
-from __future__ import annotations
-
 import platform
 from importlib.metadata import version
 from typing import NamedTuple

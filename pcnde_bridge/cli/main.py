@@ -3,8 +3,6 @@
 Exit codes: 0 success, 2 invalid use or input, 1 other failure, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

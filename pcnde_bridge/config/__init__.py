@@ -5,8 +5,6 @@
 :mod:`pcnde_bridge.config.settings`.  Units are CGS.
 """
 
-from __future__ import annotations
-
 import types
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ Defaults follow the text of Csala, Mohan, Livescu and Arzani (2024).  Where the 
 code differs, the difference is a named option of its stage.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

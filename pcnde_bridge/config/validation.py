@@ -1,7 +1,5 @@
 """Validation and serialization shared by all groups of settings."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Checks of the arrays of a data set."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 

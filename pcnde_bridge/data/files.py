@@ -1,7 +1,5 @@
 """Files of a data set, ``.npz`` or HDF5: its arrays by name, and the version of the format."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

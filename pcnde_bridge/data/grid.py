@@ -1,7 +1,5 @@
 """Time points and positions at which a data set, a model or a prediction is given."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

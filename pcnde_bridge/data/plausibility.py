@@ -3,8 +3,6 @@
 The ranges cover arteries from 0.8 mm to 5 cm in diameter.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence

@@ -7,8 +7,6 @@ stress (dyn/cm²), which is zero throughout in data without it.  The time points
 0 … 0.99 s of a cycle of 1 s, the points z = 0 … 4 cm.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Holding out single cases can be too easy a test, because the other cases with th
 waveform or geometry are similar: whole waveforms and geometries can be held out, too.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from numbers import Real

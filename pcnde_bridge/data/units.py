@@ -1,7 +1,5 @@
 """Known units and their conversion to CGS."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from pcnde_bridge.data.variables import MMHG

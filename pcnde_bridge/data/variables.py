@@ -1,7 +1,5 @@
 """Names and units of the arrays of a data set."""
 
-from __future__ import annotations
-
 VARIABLES = ("flow", "area", "pressure")
 """Variables that every model predicts, each of shape (case, time, z)."""
 

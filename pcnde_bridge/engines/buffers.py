@@ -4,8 +4,6 @@ The operating system provides newly allocated large arrays page by page, which s
 the first write to them.
 """
 
-from __future__ import annotations
-
 import math
 import weakref
 from collections import deque

@@ -6,8 +6,6 @@ S_u is read at knots that are twice as far apart, and a cubic spline through the
 it in between: more points of the data do not add detail that fewer points do not show.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ order or a flat parameter vector (see :mod:`pcnde_bridge.engines.parameters` and
 :mod:`pcnde_bridge.engines.closure_parameters`).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace

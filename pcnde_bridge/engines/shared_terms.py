@@ -3,8 +3,6 @@
 The argument ``xp`` is the module of the arrays: ``numpy`` or ``jax.numpy``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trained equations in their order: coupled flow and area, then pressure."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pcnde_bridge._typing import Array

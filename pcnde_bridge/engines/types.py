@@ -1,7 +1,5 @@
 """Arrays that go into the stages of an engine and come out of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

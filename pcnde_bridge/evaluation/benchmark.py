@@ -1,7 +1,5 @@
 """Benchmark of a model and baselines: errors, and times of fitting and predicting."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import statistics

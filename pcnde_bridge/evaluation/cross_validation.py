@@ -1,7 +1,5 @@
 """Cross-validation of the training cases by whole waveforms and whole geometries."""
 
-from __future__ import annotations
-
 from typing import Unpack
 
 import numpy as np

@@ -8,8 +8,6 @@ amplitude of the inflow and the logarithm of the narrowest area ratio, each over
 method was chosen by errors on left-out cases, see the page "How many simulations do I need?".
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Errors over the number of training cases, for designed and for random choices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Unpack
 

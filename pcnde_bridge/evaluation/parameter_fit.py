@@ -1,7 +1,5 @@
 """Calibration of the 1D solver or a trained model to measured pressures and flows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -157,7 +155,4 @@ def _compiled(predict: Predict, names: tuple[str, ...]) -> Callable[[Array, Arra
     def values(x: Any, first: Any) -> Any:
         return jnp.asarray(predict(dict(zip(names, first * jnp.exp(x), strict=True))))
 
-    compiled: Callable[[Array, Array], Any] = jax.jit(
-        lambda x, first: (values(x, first), jax.jacfwd(values)(x, first))
-    )
-    return compiled
+    return jax.jit(lambda x, first: (values(x, first), jax.jacfwd(values)(x, first)))

@@ -1,7 +1,5 @@
 """Sensitivity of indices such as FFR to the inputs of a model: Sobol indices by SALib."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sweeps over settings and random seeds on the same cases."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Unpack
 

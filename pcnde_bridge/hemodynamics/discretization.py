@@ -1,7 +1,5 @@
 """Discretization of the 1D solver: checked input on its grid and at its time steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields

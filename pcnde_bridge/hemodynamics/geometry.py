@@ -9,8 +9,6 @@ length of the stenosis, the radius is
 where the blockage β is a fraction of **area**.  Units are CGS.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -7,8 +7,6 @@ Every circuit has the form p = R·Q + x₀ with the states x of
 where E is diagonal.  A state of E = 0 has no capacitance.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

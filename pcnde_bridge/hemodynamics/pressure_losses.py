@@ -12,8 +12,6 @@ Only arithmetic operators and ``abs`` are used, so that every function takes
 numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pcnde_bridge.data.indices import diameter

@@ -1,7 +1,5 @@
 """Physical and numerical settings of the 1D solver."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 

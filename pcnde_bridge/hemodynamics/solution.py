@@ -1,7 +1,5 @@
 """Result of the 1D solver: its cases, how accurate they are, and why some failed."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from typing import Any

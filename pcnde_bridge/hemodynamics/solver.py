@@ -34,8 +34,6 @@ at a blockage of 70 %, 6e-3 at 85 % and 2e-2 at 90 %; they are of second order i
 (float64).  Units are CGS throughout.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

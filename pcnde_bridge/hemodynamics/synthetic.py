@@ -6,8 +6,6 @@ drop of Seeley and Young in the stenosis, and cached on disk.  A model's errors 
 show how well the model learns, not how well a 1D model represents 3D flow.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -4,8 +4,6 @@ The last axis of all arrays is the case, so that every operation runs over conti
 Imports JAX; the solver imports this module when it computes.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from math import sqrt
 from typing import Any, NamedTuple

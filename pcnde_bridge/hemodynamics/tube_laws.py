@@ -18,8 +18,6 @@ Only arithmetic operators are used, so that every method takes numpy and JAX
 arrays alike.  Units are CGS: dyn/cm², cm², cm/s.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

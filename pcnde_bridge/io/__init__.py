@@ -4,8 +4,6 @@ Each format has its own module; every reader ends in :func:`to_cases`, which che
 direction of the flow, the cycle and the grid.
 """
 
-from __future__ import annotations
-
 from pcnde_bridge.io.assemble import to_cases
 from pcnde_bridge.io.centerlines import write_pvd, write_vtp
 from pcnde_bridge.io.csv import read_csv

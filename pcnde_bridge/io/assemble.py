@@ -5,8 +5,6 @@ are rejected with the option that resolves the ambiguity; nothing is flipped, cu
 interpolated unless requested.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Predictions as centerline files for SimVascular and ParaView (``.vtp``, ``.pvd``)."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Data sets by name or path, and the download of the published one."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from importlib import resources

@@ -1,7 +1,5 @@
 """HDF5 files of other programs with arrays of flow, area, pressure and wall shear stress."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

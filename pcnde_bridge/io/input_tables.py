@@ -1,7 +1,5 @@
 """Tables of inflow waveforms and undeformed areas, the inputs of ``pcnde predict``."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Prediction files: the ending of a file's name selects the format."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

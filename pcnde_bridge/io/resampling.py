@@ -1,7 +1,5 @@
 """Selection of one cycle, and resampling to one grid on request."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

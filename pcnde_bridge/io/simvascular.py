@@ -12,8 +12,6 @@ Time series have a file for each time step, with arrays ``pressure``, ``velocity
 ``name_00500.vtp``, named by the number of the time step, or those that a ``.pvd`` file lists.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence

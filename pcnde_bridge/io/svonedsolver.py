@@ -6,8 +6,6 @@ time step, the start included.  Lengths, areas and the time step are in the inpu
 (SEGMENT, SOLVEROPTIONS).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -69,8 +69,7 @@ def _check_unpacked(path: Path) -> None:
 
 
 def _opened(path: Path) -> TextIO:
-    text: TextIO = _COMPRESSED.get(path.suffix, open)(path, "rt", encoding="utf-8-sig")
-    return text
+    return _COMPRESSED.get(path.suffix, open)(path, "rt", encoding="utf-8-sig")
 
 
 def first_line(path: StrPath) -> str:

@@ -201,8 +201,7 @@ class _Decoder:
         )
 
     def _sizes(self, header: bytes) -> list[int]:
-        sizes: list[int] = np.frombuffer(header, self._header).tolist()
-        return sizes
+        return np.frombuffer(header, self._header).tolist()
 
     def _unpacked(self, block: bytes, size: int) -> bytes:
         """Decompress a block to its size, and no further."""

@@ -1,7 +1,5 @@
 """Description of a file: model, ensemble, checkpoint or data set, without starting an engine."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One fit as a task of an ensemble, a cross-validation or a sweep."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Unpack, cast

@@ -3,8 +3,6 @@
 :class:`~pcnde_bridge.PCNDE` is one class for both; this module contains all their differences.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

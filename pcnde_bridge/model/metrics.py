@@ -1,7 +1,5 @@
 """Relative errors as the paper's table defines them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The path from inputs to a prediction, shared by ``PCNDE`` and ``Ensemble``."""
 
-from __future__ import annotations
-
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence

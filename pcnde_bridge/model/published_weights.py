@@ -1,7 +1,5 @@
 """Reader of the authors' published weights (``trained_weights/*.jld2``, which are HDF5 files)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks and training that several studies share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from pcnde_bridge.data.cases import Cases

@@ -4,8 +4,6 @@ Flow and area do not depend on the pressure network, so only the two pressure st
 fitted again; the results equal those of a whole fit with that activation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import get_args

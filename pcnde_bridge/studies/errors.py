@@ -1,7 +1,5 @@
 """Detailed errors: per case, per grid point, and their distribution (section 3.3)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

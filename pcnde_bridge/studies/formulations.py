@@ -5,8 +5,6 @@ neighbors: Q can be accurate while ∂Q/∂z, and so the area from continuity, i
 In space, the equation itself makes Q a smooth function of z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -120,8 +118,7 @@ class FormulationStudy(Displayed):
 
 def flow_slope(flow: Array, z: Array) -> Array:
     """Return ∂Q/∂z, mL/s/cm, of Q (case, time, z) by second-order differences."""
-    slope: Array = np.gradient(flow, z, axis=2, edge_order=2)
-    return slope
+    return np.gradient(flow, z, axis=2, edge_order=2)
 
 
 def variation(values: Array) -> float:

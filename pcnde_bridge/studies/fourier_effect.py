@@ -1,7 +1,5 @@
 """Effect of the Fourier stage on the area (section 3.4 of the paper)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

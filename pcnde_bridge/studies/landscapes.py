@@ -8,8 +8,6 @@ The loss is evaluated around the parameters θ on a grid θ + α₁v₁ + α₂v
 directions: after the first batch's BFGS iterations, and after the first coupling of the area.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

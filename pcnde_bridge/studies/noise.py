@@ -5,8 +5,6 @@
 where x is the inflow Q_in(t) or the undeformed area S_u(z).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """Pressure drop along the stenosis, compared with Seeley and Young (section 3.2)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

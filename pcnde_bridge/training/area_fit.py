@@ -1,7 +1,5 @@
 """Fit of the area stages on all cases at once: exact least squares, point by point."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

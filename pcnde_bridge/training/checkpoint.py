@@ -1,7 +1,5 @@
 """Checkpoint files of a training run: the newest state and the one before."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from dataclasses import replace

@@ -5,8 +5,6 @@ parameters with bounds, else that of Levenberg and Marquardt.  Engines that agre
 same parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -133,8 +131,7 @@ def _fit_windkessel(
         r1, r2, compliance, offset = numbers(x)
         impedance = outlet_impedance(r1, r2, compliance, omega)
         predicted = np.fft.irfft(harmonics * impedance, n=n_times, axis=1) + offset
-        error: Array = ((predicted - pressure) / scale).ravel()
-        return error
+        return ((predicted - pressure) / scale).ravel()
 
     # A regression over all time points does not give R₁ + R₂; a given number stays (almost).
     tiny = 1e-9

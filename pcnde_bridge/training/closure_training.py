@@ -1,7 +1,5 @@
 """Training of the ``physics`` preset: one closure after the other, then the ensemble."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial

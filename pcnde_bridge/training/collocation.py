@@ -14,8 +14,6 @@ differential equations by their integrals along the data goes back to Himmelblau
 Bischoff (1967); Roesch, Rackauckas and Stumpf (2021) start neural ones in this way.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from pcnde_bridge._typing import Array

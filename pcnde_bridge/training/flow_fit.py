@@ -1,7 +1,5 @@
 """Fit of the flow network on all cases at once, first by collocation, then by its equation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -14,8 +14,6 @@ model like any other.  Only the way to the minimum differs:
 The engine computes the flow and its gradient; everything else is small enough for numpy.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """History of a training run: one record for every iteration of the optimizer."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Linear least squares: the exact minimum with respect to linear parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

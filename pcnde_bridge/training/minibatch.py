@@ -1,7 +1,5 @@
 """The paper's training algorithm: BFGS that starts afresh in every batch of cases."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -4,8 +4,6 @@ The last layer of the pressure network is found by least squares, and so are all
 the spatial pressure but its steepness.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

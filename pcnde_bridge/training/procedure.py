@@ -1,7 +1,5 @@
 """Training procedures: their steps, and the state of a run, which a checkpoint stores."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Progress of a training run, in terminals, notebooks and log files."""
 
-from __future__ import annotations
-
 import time
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """Provenance: how a model was trained, so that the fit can be reproduced."""
 
-from __future__ import annotations
-
 import platform
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Training of the paper's networks: flow and area alternately, coupled, then the pressure."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

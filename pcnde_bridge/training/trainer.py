@@ -4,8 +4,6 @@ A run is a fixed list of training steps.  The state after each step is all that 
 one needs, so that a run continued from a checkpoint repeats the interrupted one bit for bit.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext

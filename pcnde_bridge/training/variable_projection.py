@@ -7,8 +7,6 @@ The layers are evaluated with numpy on one thread, for every engine: the sums ru
 cases and points, and so must not depend on the number of threads.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace

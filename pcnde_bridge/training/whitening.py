@@ -1,7 +1,5 @@
 """Whitened coordinates of a network's first layer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pcnde_bridge._typing import Array

@@ -11,8 +11,6 @@ narrow for strong ones.  On the cases left out, e(z) is the 68 % quantile of the
 each point, and c is chosen so that 90 % intervals contain 90 % of the values.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -64,14 +62,12 @@ class Calibration(Displayed):
         points = np.linspace(0, 1, self.profile.shape[1])
         profile = self.profile[VARIABLES.index(variable)]
         along = np.interp((z - z[0]) / (z[-1] - z[0]), points, profile)
-        error: Array = relative_amplitude(inflow, self.amplitude)[:, None, None] * along
-        return error
+        return relative_amplitude(inflow, self.amplitude)[:, None, None] * along
 
     def standard_deviation(self, variable: str, spread: Array, inflow: Array, z: Array) -> Array:
         """Return σ for the spread s of a variable, both of shape (case, time, z)."""
         scale = self.scale[VARIABLES.index(variable)]
-        sigma: Array = scale * np.hypot(spread, self.shared_error(variable, inflow, z))
-        return sigma
+        return scale * np.hypot(spread, self.shared_error(variable, inflow, z))
 
     def check(self) -> None:
         """Check shapes and values.
@@ -101,8 +97,7 @@ def relative_amplitude(inflow: Array, reference: Array) -> Array:
     """
     if not reference.any():
         return np.ones(len(inflow))
-    relative: Array = np.maximum(np.std(inflow, axis=1) / reference, _SMALLEST_AMPLITUDE)
-    return relative
+    return np.maximum(np.std(inflow, axis=1) / reference, _SMALLEST_AMPLITUDE)
 
 
 def shared_error(error: Array, relative: Array) -> Array:

@@ -94,16 +94,14 @@ class _Box(NamedTuple):
         along = moved @ self.axes.T
         beyond = np.abs(along - self.range[0]) / self.range[1]
         rest = np.linalg.norm(moved - along @ self.axes, axis=1) / self.rest
-        result: Array = np.maximum(beyond.max(axis=1, initial=0.0), rest)
-        return result
+        return np.maximum(beyond.max(axis=1, initial=0.0), rest)
 
     def ends(self) -> Array:
         """Return the descriptions at both limits of the first component, shape (2, n)."""
         if not len(self.axes):  # a single training case
             return np.stack([self.center, self.center])
         limits = self.range[0, 0] + np.array([[-1.0], [1.0]]) * self.range[1, 0]
-        ends: Array = self.center + limits * self.axes[0]
-        return ends
+        return self.center + limits * self.axes[0]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,8 +227,7 @@ class Novelty(Displayed):
             Q_in, mL/s, from the harmonics of the description.
         """
         real, imaginary = np.split(self.inflow.ends(), 2, axis=1)
-        inflow: Array = np.fft.irfft((real + 1j * imaginary) * n_times, n=n_times, axis=1)
-        return inflow
+        return np.fft.irfft((real + 1j * imaginary) * n_times, n=n_times, axis=1)
 
     def area_ends(self, z: Array) -> Array:
         """Return both ends of the training vessels along their first component.

@@ -1,7 +1,5 @@
 """Integration along the vessel by Tsit5 of diffrax, for the momentum equation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -3,8 +3,6 @@
 Both are linear in their corrections: S = known + a(z)·f(t, z) + b(z)·g(t).
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

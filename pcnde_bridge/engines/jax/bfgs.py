@@ -8,8 +8,6 @@ which equals the product with the BFGS matrix up to round-off and costs 4·k·n 
 instead of 4·n².
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """JAX engine: runs wherever Python does, without further installation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from importlib.metadata import version

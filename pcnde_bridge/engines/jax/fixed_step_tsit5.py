@@ -5,8 +5,6 @@ advance, everything independent of the state is computed for all steps in one ma
 the drive at every stage, and the interpolant at every point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

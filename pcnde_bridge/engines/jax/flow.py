@@ -12,8 +12,6 @@ product with S is linear in S, and S is linear in z between the points, so the
 product is computed once at the points and interpolated.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

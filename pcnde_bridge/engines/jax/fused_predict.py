@@ -10,8 +10,6 @@ The coupling passes therefore need no array over time and space; only the result
 The result equals that of the five stages in turn up to round-off (tested).
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import NamedTuple
 

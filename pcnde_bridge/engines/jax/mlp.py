@@ -1,7 +1,5 @@
 """Fully connected network in JAX, from the package's flat parameter layout."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 

@@ -7,8 +7,6 @@ not in the span of the last layer, so Q itself is integrated.  Without terms the
 :mod:`pcnde_bridge.engines.jax.flow`, at higher cost.
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 

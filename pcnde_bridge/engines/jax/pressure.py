@@ -1,7 +1,5 @@
 """Pressure stages: a network in time, then constant–tanh–constant in space."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Fields over time and space that are a sum of a few products T(t)·Z(z)."""
 
-from __future__ import annotations
-
 from functools import reduce
 from typing import NamedTuple
 

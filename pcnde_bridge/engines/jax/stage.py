@@ -1,7 +1,5 @@
 """Stage of the JAX engine: pads the cases, compiles an equation, and fits it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

@@ -4,8 +4,6 @@ Each point of the vessel has one ordinary differential equation, and the network
 After each step the inlet's value is replaced by Q_in.  Gradients are those of the discrete steps.
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 

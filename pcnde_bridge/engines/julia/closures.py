@@ -1,7 +1,5 @@
 """Closures of the ``physics`` preset in Julia (``julia/PCNDECore/src/closures``)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 Julia starts when a :class:`JuliaEngine` is created, not when this module is imported.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

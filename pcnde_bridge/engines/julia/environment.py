@@ -19,8 +19,6 @@ They are named by the first of these that is present:
    first use of ``engine="julia"``, unless ``PYTHON_JULIAPKG_OFFLINE=yes``.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

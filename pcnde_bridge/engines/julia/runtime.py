@@ -1,7 +1,5 @@
 """Julia of this process: started once through juliacall, called with arrays and settings."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -1,7 +1,5 @@
 """One stage of the method in Julia: solution, loss, gradient and fit."""
 
-from __future__ import annotations
-
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils import interrupts
 from pcnde_bridge.config import PCNDEConfig

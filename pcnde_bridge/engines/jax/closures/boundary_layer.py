@@ -24,8 +24,6 @@ uniform flow through the same area.  The first term is that of a turbulent jet, 
 a laminar one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

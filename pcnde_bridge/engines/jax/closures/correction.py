@@ -10,8 +10,6 @@ and a steady flow is unchanged.  N_θ does not depend on t itself: a waveform
 shifted in time gives the shifted result, on any time grid.
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 

@@ -25,8 +25,6 @@ where A(ω) is ∂V/∂t of a small y about the mean flow and pressure, and ē i
 mean of e and the middle of its range, which needs fewer passes than either.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import reduce
 from typing import Literal, NamedTuple
@@ -215,8 +213,7 @@ def couple(
     def one_pass(harmonics: jax.Array) -> jax.Array:
         stored, _, rates = state(harmonics)
         filling = reduce(jnp.add, (v * r for v, r in zip(total, rates, strict=True)))
-        change: jax.Array = solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
-        return change
+        return solve * jnp.fft.rfft(shown * stored[0] - kappa * filling)
 
     inflow_signals = signals(with_rates * inflow_harmonics).at[0].set(inflow)
     settled = None if tolerance is None else tolerance * jnp.max(jnp.abs(inflow))
@@ -259,10 +256,9 @@ def _linear_filling(
     directed = jnp.where(forward, modes[0], -modes[1])
     slope = losses.rational_slope(size)
     linear = (directed[1] + slope * directed[3] + size * directed[5]) / reference_flow
-    result: jax.Array = pressure_rate * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
+    return pressure_rate * (total[0] + 2 * mean_pressure * total[1]) - i_omega * (
         linear + i_omega * stored
     )
-    return result
 
 
 def _iterate(

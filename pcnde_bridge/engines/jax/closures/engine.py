@@ -1,7 +1,5 @@
 """Values, Jacobians and batched predictions of the closures."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -157,8 +155,7 @@ def _distinct_vessels(
             s_u = _padded(areas[start : start + _BATCH])
             modes = _vessels(*vectors, s_u, points.z, config=config)
             parts.append(jax.tree.map(at_given, modes))
-    vessels: tuple[VesselModes, Terms] = jax.tree.map(lambda *a: np.concatenate(a), *parts)
-    return vessels
+    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
 
 
 def _couple_batch(
@@ -242,8 +239,7 @@ def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
     at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
     coupled = couple(*vectors, jnp.zeros(()), inflow, *at_outlet, period, config.correction)
     in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
-    result: jax.Array = coupled.flow.T @ in_z[:, points]
-    return result
+    return coupled.flow.T @ in_z[:, points]
 
 
 @_each_case

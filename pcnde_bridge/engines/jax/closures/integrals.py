@@ -1,7 +1,5 @@
 """Integrals along the vessel."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 

@@ -23,8 +23,6 @@ and K in dyn/cm²: E·h/r₀ is constant for m = 0, and E·h for m = 1.  Its end
 Both are linear in the pressure; the area S = π(r_u + u_r)² is not.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import jax
@@ -151,5 +149,4 @@ def _solve_block_tridiagonal(diagonal: jax.Array, above: jax.Array, right: jax.A
 def _inverse(matrix: jax.Array) -> jax.Array:
     (a, b), (c, d) = matrix
     adjugate = jnp.stack([jnp.stack([d, -b]), jnp.stack([-c, a])])
-    inverse: jax.Array = adjugate / (a * d - b * c)
-    return inverse
+    return adjugate / (a * d - b * c)

@@ -27,8 +27,6 @@ c₀ = 1 is Womersley's result for slow oscillations.  In a straight vessel Λ, 
 and the steady result is Poiseuille's for any parameters.  The result is the magnitude.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax
