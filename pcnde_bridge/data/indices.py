@@ -17,22 +17,13 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_values, real_array
+from pcnde_bridge.data.stenosis import NO_STENOSIS, diameter, measuring_positions, throats
 from pcnde_bridge.data.units import FACTORS
 from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 
-NO_STENOSIS = 0.99
-"""Smallest S_u over the healthy area, above which a vessel counts as one without a stenosis."""
-
 Position = npt.ArrayLike | None
 """Axial position in cm, one for all cases or one for each; None is the default."""
-
-_HEALTHY = 0.999  # share of the healthy area that is reached at the end of a narrowing
-
-
-def diameter(area: Any) -> Any:
-    """Return the diameter of a circle, cm, of an area in cm²; numpy or JAX array."""
-    return (4.0 / math.pi * area) ** 0.5
 
 
 def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: float = 0.04) -> Any:
@@ -59,74 +50,6 @@ def poiseuille_wall_shear_stress(flow: Array, area: Array, viscosity: float = 0.
         μ, poise.
     """
     return np.asarray(4 * viscosity * flow / (math.pi * (diameter(area) / 2) ** 3))
-
-
-def healthy_area(z: Array, area_undeformed: Array) -> Array:
-    """Return the area without a stenosis, cm²: an even taper a·exp(b·z) from end to end.
-
-    Parameters
-    ----------
-    z : array of shape (z,)
-        Axial positions, cm.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-    """
-    share = (z - z[0]) / (z[-1] - z[0])
-    first, last = np.log(area_undeformed[:, :1]), np.log(area_undeformed[:, -1:])
-    return np.asarray(np.exp(first + share * (last - first)))
-
-
-def throats(z: Array, area_undeformed: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Return the point of the narrowest stenosis, and its S_u over the healthy area.
-
-    Parameters
-    ----------
-    z : array of shape (z,)
-        Axial positions, cm.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-
-    Returns
-    -------
-    points : array of int, shape (case,)
-        Points at which S_u is smallest relative to :func:`healthy_area`.
-    ratios : array of shape (case,)
-        S_u over the healthy area there; above :data:`NO_STENOSIS` there is no stenosis.
-    """
-    ratio = area_undeformed / healthy_area(z, area_undeformed)
-    return ratio.argmin(axis=1), ratio.min(axis=1)
-
-
-def measuring_positions(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
-    """Return the positions between which the drop of the narrowest stenosis is taken, cm.
-
-    A narrowing reaches from its throat to the first point on either side with at least
-    99.9 % of :func:`healthy_area`.  The positions are one healthy diameter beyond its ends,
-    but within the vessel.  In a vessel without a stenosis, they are the vessel's ends.
-
-    Parameters
-    ----------
-    z : array of shape (z,)
-        Axial positions, cm.
-    area_undeformed : array of shape (case, z)
-        S_u, cm².
-
-    Returns
-    -------
-    proximal, distal : array of shape (case,)
-        Positions upstream and downstream of the stenosis.
-    """
-    healthy = healthy_area(z, area_undeformed)
-    points, ratios = throats(z, area_undeformed)
-    proximal, distal = np.full(len(points), z[0]), np.full(len(points), z[-1])
-    for case in np.flatnonzero(ratios <= NO_STENOSIS):
-        throat = points[case]
-        outside = np.flatnonzero(area_undeformed[case] >= _HEALTHY * healthy[case])
-        margin = diameter(healthy[case, throat])
-        # The end points of the vessel are always outside.
-        proximal[case] = max(z[0], z[outside[outside < throat][-1]] - margin)
-        distal[case] = min(z[-1], z[outside[outside > throat][0]] + margin)
-    return proximal, distal
 
 
 def values_at(values: Array, z: Array, position: Array) -> Array:
@@ -198,7 +121,7 @@ class VesselQuantities(Displayed):
 
     Positions ``proximal`` and ``distal`` are axial positions in cm: a number, or one for each
     case.  Between points, values are interpolated linearly.  By default the positions are
-    those of :func:`~pcnde_bridge.data.indices.measuring_positions`: one healthy diameter
+    those of :func:`~pcnde_bridge.data.stenosis.measuring_positions`: one healthy diameter
     beyond either end of the narrowest stenosis, or the ends of a vessel without a stenosis.
     """
 
@@ -253,7 +176,7 @@ class VesselQuantities(Displayed):
         ----------
         proximal, distal : float or array of shape (case,), optional
             Positions, cm; by default on either side of the narrowest stenosis, see
-            :func:`~pcnde_bridge.data.indices.measuring_positions`.
+            :func:`~pcnde_bridge.data.stenosis.measuring_positions`.
         units : {'dyn/cm^2', 'Pa', 'kPa', 'mmHg'}
             Unit of the result; 1 mmHg is 1333.22 dyn/cm².
 

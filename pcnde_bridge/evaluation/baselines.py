@@ -23,13 +23,8 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
-from pcnde_bridge.data.indices import (
-    healthy_area,
-    measuring_positions,
-    poiseuille_wall_shear_stress,
-    pressure_drop,
-    throats,
-)
+from pcnde_bridge.data.indices import poiseuille_wall_shear_stress, pressure_drop
+from pcnde_bridge.data.stenosis import healthy_area, measuring_positions, throats
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
@@ -158,7 +153,7 @@ class StenosisLoss(Unchanged):
     """No change along the vessel but a pressure loss across its narrowest stenosis.
 
     The loss is added to the pressure from the inlet to the throat (see
-    :func:`pcnde_bridge.data.indices.throats`); the flow is the inflow.
+    :func:`pcnde_bridge.data.stenosis.throats`); the flow is the inflow.
 
     Parameters
     ----------

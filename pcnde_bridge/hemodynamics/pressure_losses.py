@@ -14,7 +14,7 @@ numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
 
 from typing import Any
 
-from pcnde_bridge.data.indices import diameter
+from pcnde_bridge.data.stenosis import diameter
 
 
 def viscous_coefficient(area_healthy: Any, area_throat: Any, length: Any) -> Any:

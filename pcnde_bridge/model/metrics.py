@@ -9,8 +9,9 @@ import pandas as pd
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import check_shape
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.indices import measuring_positions, one_minus_ffr, pressure_drop
+from pcnde_bridge.data.indices import one_minus_ffr, pressure_drop
 from pcnde_bridge.data.selection import case_keys
+from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 

@@ -15,8 +15,9 @@ from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.indices import measuring_positions, values_at
+from pcnde_bridge.data.indices import values_at
 from pcnde_bridge.data.selection import Positions, some_of
+from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.engines.closure_parameters import (
     CORRECTION_SCALARS,
     WALL_SHEAR_STRESS,

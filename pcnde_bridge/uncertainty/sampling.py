@@ -37,12 +37,9 @@ from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.indices import (
-    measuring_positions,
-    poiseuille_wall_shear_stress,
-    pressure_drop,
-)
+from pcnde_bridge.data.indices import poiseuille_wall_shear_stress, pressure_drop
 from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures

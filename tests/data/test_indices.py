@@ -8,7 +8,8 @@ from helpers import case_arguments
 
 from pcnde_bridge import Cases, InputError
 from pcnde_bridge.data.checks import UnitsWarning
-from pcnde_bridge.data.indices import measuring_positions, reynolds_number
+from pcnde_bridge.data.indices import reynolds_number
+from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 
 TIME, Z = np.arange(4) / 4, np.linspace(0.0, 4.0, 5)

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from pcnde_bridge.data.indices import diameter, reynolds_number
+from pcnde_bridge.data.indices import reynolds_number
+from pcnde_bridge.data.stenosis import diameter
 from pcnde_bridge.hemodynamics.pressure_losses import (
     effective_length,
     pressure_drop,
