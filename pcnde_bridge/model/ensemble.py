@@ -197,7 +197,7 @@ class Ensemble(Predictor):
             agree = spread <= 1e-12 * np.abs(mean)
             away = np.where(agree, directions, values - mean)
             samples[name] = mean + away * (wanted / np.where(agree, 1.0, spread))
-        return replace(first, **means, samples=samples)
+        return replace(first, **means, samples=samples, calibrated=True)
 
     def to_archive(self) -> tuple[dict[str, Any], Arrays]:
         """Return the content of the ensemble's file: facts for JSON, and arrays."""

@@ -60,6 +60,9 @@ class Prediction(VesselQuantities):
     wall_shear_stress : array of shape (case, time, z) or None
         Wall shear stress, dyn/cm²; None if the model does not predict it, see the preset
         ``physics``.
+    calibrated : bool
+        Whether the samples, however few, have the calibrated standard deviation, as those of
+        an ensemble have.  That of random samples is an estimate.
     """
 
     flow: Array
@@ -73,6 +76,7 @@ class Prediction(VesselQuantities):
     novelty: Array | None = None
     samples: Mapping[str, Array] | None = None
     wall_shear_stress: Array | None = None
+    calibrated: bool = False
 
     def _facts(self) -> list[str]:
         facts = [f"{counted(len(self), 'case')}: {', '.join(self.variables())}".replace("_", " ")]
@@ -112,7 +116,8 @@ class Prediction(VesselQuantities):
         """Return the lower and upper limit of each sampled variable, (case, time, z).
 
         The limits are the prediction minus and plus the standard deviation times the quantile
-        of Student's distribution for the number of samples.  Their spread is calibrated at 90 %
+        of Student's distribution for the number of samples, or of the normal distribution for
+        the members of an ensemble.  Their spread is calibrated at 90 %
         on training cases that were left out.
 
         Parameters
@@ -169,8 +174,9 @@ class Prediction(VesselQuantities):
 
         if not isinstance(level, Real) or not 0 < level < 1:
             raise InputError(f"level must lie between 0 and 1, got {level!r}.")
-        samples = 2 if self.samples is None else len(self.samples["flow"])
-        return float(stdtrit(samples - 1, (1 + level) / 2))
+        count = 2 if self.samples is None else len(self.samples["flow"])
+        freedom = np.inf if self.calibrated else count - 1
+        return float(stdtrit(freedom, (1 + level) / 2))
 
     def indices(
         self,

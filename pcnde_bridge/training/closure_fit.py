@@ -35,6 +35,9 @@ _BLOCK = 64
 _TIMES = 25
 """Time points on which losses and wall are fitted: without memory, few are enough."""
 
+_TIMES_AGAIN = 13
+"""The same for the fits that leave out cases, which start from the fit to all."""
+
 _DROP_WEIGHT = 10.0
 """Weight of the drop across the stenosis, relative to the pressure at one point."""
 
@@ -169,7 +172,7 @@ def fit_losses(
         starts[:, 0], left_out, evaluations = again
     weight = np.ones(len(cases))
     weight[left_out] = 0
-    times = _few_times(cases)
+    times = _few_times(cases, _TIMES if again is None else _TIMES_AGAIN)
     target = cases.pressure[:, times] - cases.pressure[:, times, -1:]
     scale = float(np.linalg.norm(weight[:, None, None] * target))
 
@@ -248,7 +251,8 @@ def fit_wall_shear_stress(
     start, rows = WALL_SHEAR_STRESS, some_of(np.arange(len(cases)), _SHEAR_CASES)
     if cases.wall_shear_stress is None:
         return start
-    times, part = _few_times(cases), cases[rows]
+    times = _few_times(cases, _TIMES_AGAIN if left_out.size else _TIMES)
+    part = cases[rows]
     flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
     others = others.replace(wall_shear_stress=start)
     problem = closures.wall_shear_stress(
@@ -366,9 +370,9 @@ def fit_correction(
     return _solve(problem, starts, given, evaluations, on_iteration)
 
 
-def _few_times(cases: Cases) -> IntArray:
+def _few_times(cases: Cases, most: int = _TIMES) -> IntArray:
     """Return the time points on which losses and wall are fitted."""
-    return np.unique(np.linspace(0, cases.n_times - 1, _TIMES).astype(int))
+    return np.unique(np.linspace(0, cases.n_times - 1, most).astype(int))
 
 
 def _flow_rate(cases: Cases) -> Array:

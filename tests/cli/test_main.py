@@ -617,7 +617,7 @@ def test_characters_that_the_console_cannot_write_are_replaced():
 def test_results_do_not_overwrite_each_other(folder, run, tmp_path):
     code, _, err = run(
         "evaluate", folder / "model.pcnde", folder / "cases.npz", "--engine", "jax",
-        "--json", tmp_path / "a", "--csv", tmp_path / "a",
+        "--json", tmp_path / "a.csv", "--csv", tmp_path / "a.csv",
     )  # fmt: skip
     assert code == 2
     assert "is named twice" in err
