@@ -251,7 +251,7 @@ def fit_wall_shear_stress(
     start, rows = WALL_SHEAR_STRESS, some_of(np.arange(len(cases)), _SHEAR_CASES)
     if cases.wall_shear_stress is None:
         return start
-    times = _few_times(cases, _TIMES_AGAIN if left_out.size else _TIMES)
+    times = _few_times(cases, _TIMES_AGAIN if len(left_out) else _TIMES)
     part = cases[rows]
     flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
     others = others.replace(wall_shear_stress=start)
