@@ -105,8 +105,14 @@ end
     @test jet_area(s_u, z, 1.25, 1e3, 0.0) == s_u ./ 1.25
 end
 
+"""
+Area with a stenosis that narrows slowly and widens quickly.
+"""
+uneven(z) = [0.125 * (1 - 0.6 * exp(-((x - 2) / (x < 2 ? 0.9 : 0.3))^2)) for x in z]
+const fine = collect(range(0.0, 4.0, 201))  # points that resolve it, as those of the engines
+
 @testset "wall shear stress" begin
-    s_u = [0.125 * (1 - 0.6 * exp(-((x - 2) / (x < 2 ? 0.9 : 0.3))^2)) for x in z]
+    s_u = uneven(z)
     flow = repeat([1.0 -1.0 0.5], n_points)
     given = reshape(flow, n_points, 3, 1), fill(4.0, n_points, 3, 1)
     function stress(area, (q, q_rate))
@@ -121,25 +127,30 @@ end
     @test stress(fill(0.125, n_points), given) ≈ expected
     there, back = stress(s_u, given), stress(reverse(s_u), map(.-, given))
     @test there ≈ -reverse(back; dims = 1) rtol = 1e-10
-    @test maximum(there[:, 1]) > 1.5 * maximum(0.16 .* flow[:, 1] ./ sqrt.(s_u .^ 3 ./ π))
+    given = losses, ones(201, 1, 1), fill(4.0, 201, 1, 1), reshape(uneven(fine), :, 1)
+    value, _ = closure("wall_shear_stress", shear, given, fine, 1.0, ClosureConfig())
+    @test maximum(value) > 1.5 * maximum(0.16 ./ sqrt.(uneven(fine) .^ 3 ./ π))
 end
 
 @testset "losses" begin
     steady, none = ones(n_points, 1), zeros(n_points, 1)
-    drop(c, flow, rate = none) = pressure_drop!(similar(none), c, flow, rate, z)
+    drop(c, flow, rate = zero(flow); points = z) =
+        pressure_drop!(similar(flow), c, flow, rate, points)
     straight = LossCoefficients(losses, fill(0.125, n_points), z, Physics())
     poiseuille = 1.2 * 8π * 0.04 / 0.125^2
     @test drop(straight, 2 .* steady) ≈ 2 * poiseuille .* (4 .- z)
     @test drop(straight, none, steady) ≈ 1.1 * 1.06 / 0.125 .* (4 .- z)
     @test iszero(straight.forward[:, 4])
-    # A stenosis that narrows slowly and widens quickly, and its mirror image.
-    s_u = [0.125 * (1 - 0.6 * exp(-((x - 2) / (x < 2 ? 0.9 : 0.3))^2)) for x in z]
+    # An uneven stenosis and its mirror image.
+    s_u = uneven(z)
     there, back = (LossCoefficients(losses, s, z, Physics()) for s in (s_u, reverse(s_u)))
     @test there.forward ≈ -reverse(back.back; dims = 1) rtol = 1e-10
-    q = there.reference_flow .* steady
+    areas = uneven(fine), reverse(uneven(fine))
+    forth, mirrored = (LossCoefficients(losses, s, fine, Physics()) for s in areas)
     for flow in (0.5, 8.0)
-        @test drop(there, flow .* q)[1] ≈ -drop(back, -flow .* q)[1]
-        @test drop(there, flow .* q)[1] > 1.05 * drop(back, flow .* q)[1]
+        q = fill(flow * forth.reference_flow, 201, 1)
+        @test drop(forth, q; points = fine)[1] ≈ -drop(mirrored, -q; points = fine)[1]
+        @test drop(forth, q; points = fine)[1] > 1.05 * drop(mirrored, q; points = fine)[1]
     end
     # The interpolation is exact at the flows that are computed.
     named = PCNDECore.LossParameters(losses)
@@ -149,7 +160,7 @@ end
         layer = layer_thickness(s_u, z, 4 * 1.3 * viscosity)
         jet = jet_area(s_u, z, 1.25, 0.06, 2.0 * viscosity)
         pieces = PCNDECore.steady_drop(named, flow, layer, jet, s_u, z, Physics())
-        @test drop(there, ratio .* q)[1] ≈ sum(pieces)
+        @test drop(there, flow .* steady)[1] ≈ sum(pieces)
     end
     # Products of functions of z and t.
     share = z ./ 4
