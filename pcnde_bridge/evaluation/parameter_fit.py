@@ -66,8 +66,9 @@ def calibrate(
 ) -> Calibration:
     """Find parameters from measured values by least squares.
 
-    The most probable parameters under normal noise are found by SciPy's Gauss–Newton method
-    with the Jacobian of JAX.  Parameters are positive, and sought on a logarithmic scale.
+    The most probable parameters under normal noise are found by SciPy's trust-region method
+    with the Jacobian of JAX; their covariance is that of Gauss and Newton.  Parameters are
+    positive, and sought on a logarithmic scale.
 
     Parameters
     ----------

@@ -288,8 +288,7 @@ def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generat
     1 − (Q_in − Q(L))/(κ ∂V/∂t), where the storage is more than half its largest; κ is the
     median of (Q_in − Q(L))/(∂V/∂t) where the storage is more than a tenth of its largest.
     """
-    z = cases.z
-    volume = cases.area @ (np.diff(z, append=z[-1]) + np.diff(z, prepend=z[0])) / 2
+    volume = np.trapezoid(cases.area, cases.z)
     stored = rate(volume, cases.period)
     lost = cases.inflow - cases.flow[:, :, -1]
     clear = np.abs(stored) > 0.1 * np.abs(stored).max()
