@@ -231,7 +231,11 @@ def calibrate(
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
     profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
     profile[-1] = profile[-1, -1]
-    found = [fit_scales(profile, error, s, relative) for s in np.concatenate(spreads, axis=2)]
+    # That of the pressure is for the outlet: the drop has widths of its own.
+    error[-1] = error[-1, ..., -1:]
+    spread = np.concatenate(spreads, axis=2)
+    spread[:, -1] = spread[:, -1, ..., -1:]
+    found = [fit_scales(profile, error, s, relative) for s in spread]
     # The intervals are compared by their mean widths in terms of the errors.
     best = int(np.argmin([np.sum(mean / size) for _, mean in found]))
     scale = found[best][0]
