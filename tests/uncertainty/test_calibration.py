@@ -7,11 +7,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers import CONFIG, CORRECTED, made_by_the_closures
 
 from pcnde_bridge import Cases, InputError, UnitsWarning
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
+from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
+from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.uncertainty.calibration import (
@@ -301,3 +304,12 @@ def test_calibration_of_another_shape_is_refused():
             Calibration(profile, scale, np.ones(1)).check()
     with pytest.raises(InputError, match="do not belong together"):
         Calibration(np.ones((3, 4)), np.ones(3), np.ones(2)).check()
+
+
+def test_errors_of_the_losses_do_not_scale_the_outlets():
+    """Only the drop is wrong where the losses are; the pressure at the outlet is almost exact."""
+    cases, closures = made_by_the_closures(), select_engine("jax").closures
+    wrong = CORRECTED.replace(losses=1.1 * CORRECTED.losses).refitted
+    folds, rng = neighboring_folds(cases, 2), np.random.default_rng(0)
+    model = SampledModel(closures, CORRECTED, CONFIG)
+    assert calibrate(model, [wrong] * len(folds), folds, cases, rng).scale[-1] < 3
