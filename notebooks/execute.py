@@ -20,7 +20,7 @@ from nbclient import NotebookClient
 from PIL import Image
 
 FOLDER = Path(__file__).parent
-_COLORS = 48  # of a stored picture
+_COLORS = 40  # of a stored picture
 
 
 def code_checksum(notebook: Any) -> str:
