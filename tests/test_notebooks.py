@@ -29,7 +29,6 @@ def kernel(tmp_path_factory):
     """One kernel for all notebooks, which compiles what they share once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PCNDE_DATA", str(FOLDER / "none"))  # small vessels in place of 3D data
-        patch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # compiles faster
         with execute_notebooks.kernel(tmp_path_factory.mktemp("notebooks")) as kernel:
             yield kernel
 

@@ -147,6 +147,8 @@ def _unexpected(error: Exception) -> str:
 
 def run() -> None:
     """Run the command line in its own process."""
+    # JAX cannot store functions with diffrax's checks of its arguments, which are callbacks.
+    os.environ.setdefault("EQX_ON_ERROR", "off")
     try:
         main()
     except SystemExit as end:
