@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
@@ -32,11 +32,11 @@ from pcnde_bridge.errors import SolveError
 _BLOCK = 64
 """Largest number of cases whose values and Jacobian are in memory at once."""
 
-_TIMES = 25
-"""Time points on which losses and wall are fitted: without memory, few are enough."""
+_VALUES = 800
+"""Number of cases times time points to which losses, wall and wall shear stress are fitted."""
 
-_TIMES_AGAIN = 13
-"""The same for the fits that leave out cases, which start from the fit to all."""
+_FEWEST_TIMES, _MOST_TIMES = 8, 25
+"""Time points of a case: without memory, few are enough."""
 
 _DROP_WEIGHT = 10.0
 """Weight of the drop across the stenosis, relative to the pressure at one point."""
@@ -52,6 +52,9 @@ _SHEAR_CASES = 256
 
 _SIGN_CHANGES = 30
 """Largest number of fits of the wall shear stress, each with the signs of the fit before."""
+
+_GOLDEN_RATIO = (1 + 5**0.5) / 2
+"""Its multiples modulo 1 are spread evenly, whatever their number."""
 
 _LOSS_TOLERANCE = 1e-4
 """Relative decrease of the loss below which a fit ends."""
@@ -172,13 +175,13 @@ def fit_losses(
         starts[:, 0], left_out, evaluations = again
     weight = np.ones(len(cases))
     weight[left_out] = 0
-    times = _few_times(cases, _TIMES if again is None else _TIMES_AGAIN)
-    target = cases.pressure[:, times] - cases.pressure[:, times, -1:]
+    pressure, flow, flow_rate = _at_few_times(cases, cases.pressure, cases.flow, _flow_rate(cases))
+    target = pressure - pressure[..., -1:]
     scale = float(np.linalg.norm(weight[:, None, None] * target))
 
     def residual_of(part: Cases, rows: slice) -> Problem:
-        flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
-        problem = closures.losses(flow, flow_rate, part.area_undeformed, part.grid, config)
+        fields = flow[rows], flow_rate[rows]
+        problem = closures.losses(*fields, part.area_undeformed, part.grid, config)
         along_vessel = _relative(problem, target[rows], scale)
         # Weights of the points in the drop of each case.
         points = np.broadcast_to(np.eye(part.n_points), (len(part), part.n_points, part.n_points))
@@ -207,8 +210,7 @@ def fit_wall(
     closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit the wall parameters to S, with the reference pressure."""
-    times = _few_times(cases)
-    pressure, target = cases.pressure[:, times], cases.area[:, times]
+    pressure, target = _at_few_times(cases, cases.pressure, cases.area)
     scale = float(np.linalg.norm(target))
     # Stiffness and zero pressure start from a quarter of the length, where the vessel is wide.
     point = cases.n_points // 4
@@ -249,17 +251,17 @@ def fit_wall_shear_stress(
     The cases ``left_out`` are ignored.
     """
     start, rows = WALL_SHEAR_STRESS, some_of(np.arange(len(cases)), _SHEAR_CASES)
-    if cases.wall_shear_stress is None:
-        return start
-    times = _few_times(cases, _TIMES_AGAIN if len(left_out) else _TIMES)
     part = cases[rows]
-    flow, flow_rate = part.flow[:, times], _flow_rate(part)[:, times]
+    if part.wall_shear_stress is None:
+        return start
+    flow, flow_rate, stress = _at_few_times(
+        part, part.flow, _flow_rate(part), part.wall_shear_stress
+    )
     others = others.replace(wall_shear_stress=start)
     problem = closures.wall_shear_stress(
         others, flow, flow_rate, part.area_undeformed, part.grid, config
     )
-    target = np.abs(cases.wall_shear_stress[rows][:, times])
-    parts = *problem(start), target
+    parts = *problem(start), np.abs(stress)
     used = ~np.isin(rows, left_out)
     return start + _linear_fit(*(array[used] for array in parts))
 
@@ -369,9 +371,18 @@ def fit_correction(
     return _solve(problem, starts, given, evaluations, on_iteration)
 
 
-def _few_times(cases: Cases, most: int = _TIMES) -> IntArray:
-    """Return the time points on which losses and wall are fitted."""
-    return np.unique(np.linspace(0, cases.n_times - 1, most).astype(int))
+def _at_few_times(cases: Cases, *fields: Array) -> list[Array]:
+    """Return fields (case, time, z) at the time points of each case that a fit uses.
+
+    The points are equally spaced, and start at another phase in each case: together the cases
+    show all phases of the cycle.
+    """
+    most = min(_MOST_TIMES, cases.n_times)
+    count = int(np.clip(_VALUES // len(cases), min(_FEWEST_TIMES, most), most))
+    phase = np.arange(len(cases)) * _GOLDEN_RATIO % 1
+    times = (np.arange(count) + phase[:, None]) * (cases.n_times / count)
+    chosen = times.astype(int)[..., None]
+    return [np.take_along_axis(field, chosen, axis=1) for field in fields]
 
 
 def _flow_rate(cases: Cases) -> Array:

@@ -149,10 +149,9 @@ class ClosureTraining(Procedure[ClosureState]):
         if not self.left_out:
             return state
         members = [state.vectors[f"member_{k}"] for k in range(len(self.left_out))]
-        rng = np.random.default_rng([state.seed, 1])
         model = SampledModel(self.engine.closures, state.parameters, self.config)
         tested = [some_of(fold, _TESTED) for fold in self.left_out]
-        uncertainty = calibrate(model, members, tested, self.cases, rng)
+        uncertainty = calibrate(model, members, tested, self.cases)
         return replace(state, uncertainty=uncertainty)
 
     def _wall_shear_stress(self, others: ClosureParameters, left_out: Positions) -> Array:

@@ -32,7 +32,7 @@ _BATCH = 64
 """Cases in one batch: their functions of time and of z fit into the processor's cache."""
 
 _STEP = 16
-"""Step of the numbers of cases for which values and Jacobians are compiled."""
+"""Step of the numbers of cases or vessels for which functions are compiled."""
 
 _SETTLED = 1e-9
 """Expected change of the flow below which the passes end, relative to the largest inflow."""
@@ -152,7 +152,8 @@ def _distinct_vessels(
     parts = []
     with double_precision():
         for start in range(0, len(areas), _BATCH):
-            s_u = _padded(areas[start : start + _BATCH])
+            batch = areas[start : start + _BATCH]
+            s_u = _padded(batch, _rounded(len(batch)))
             modes = _vessels(*vectors, s_u, points.z, config=config)
             parts.append(jax.tree.map(at_given, modes))
     return jax.tree.map(lambda *a: np.concatenate(a), *parts)
@@ -196,6 +197,11 @@ def _padded(cases: Any, size: int = _BATCH) -> Array:
     """Repeat the last of several cases up to a size, to limit the number of compilations."""
     missing = 0 if len(cases) == 1 else size - len(cases)
     return np.concatenate([cases, np.repeat(cases[-1:], missing, axis=0)])
+
+
+def _rounded(count: int) -> int:
+    """Return the number of cases, or vessels, that is compiled for ``count``."""
+    return -(-count // _STEP) * _STEP
 
 
 @cache
@@ -328,7 +334,7 @@ def _problem(
 ) -> Problem:
     """Transfer the data once; compile once for each shape, of which there are few."""
     count = len(jax.tree.leaves(cases)[0])
-    padded = jax.tree.map(partial(_padded, size=-(-count // _STEP) * _STEP), cases)
+    padded = jax.tree.map(partial(_padded, size=_rounded(count)), cases)
     with double_precision():
         on_device = jax.tree.map(jnp.asarray, (padded, fixed))
     settings = _relevant(config)
