@@ -101,7 +101,7 @@ def periodic(name: str, n_points: int = 101, steps: int = 500) -> dict[str, np.n
     )
     area = np.full((1, n_points), np.pi * radius**2)
     z = np.linspace(0.0, length, n_points)
-    cases = tube.solve(z, area, [inflow], outlet, initial_pressure=pressure)
+    cases = tube.solve(area, [inflow], outlet, z=z, initial_pressure=pressure)
     middle = n_points // 2
     drop = cases.pressure[0, :, 0] - cases.pressure[0, :, -1]
     return {"P": cases.pressure[0, :, middle], "Q": cases.flow[0, :, middle], "dP": drop}
@@ -146,7 +146,7 @@ def pulse(viscosity: float, n_points: int = 4001, steps: int = 8000) -> tuple[fl
     z = np.linspace(0.0, 1000.0, n_points)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitsWarning)  # at rest but for the pulse
-        cases = tube.solve(z, np.full((1, n_points), area), [inflow], Reflection())
+        cases = tube.solve(np.full((1, n_points), area), [inflow], Reflection(), z=z)
     computed = cases.flow[0, :, np.argmin(np.abs(z - 800.0))].max()
     omega = 2 * np.pi / period * np.arange(801)
     friction = 2 * np.pi * (exponent + 2) * viscosity / density / area

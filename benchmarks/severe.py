@@ -39,7 +39,7 @@ def solve(*stenoses: tuple[float, float], base: Waveform) -> Cases:
     outlet = Windkessel(OUTLET_RESISTANCE / HYPEREMIA)
     waveforms = [*base.family(FACTORS)] * len(BLOCKAGES)
     return Tube1D().solve(
-        z, areas, waveforms, outlet, stenoses=[vessel.stenoses for vessel in vessels]
+        areas, waveforms, outlet, z=z, stenoses=[vessel.stenoses for vessel in vessels]
     )
 
 

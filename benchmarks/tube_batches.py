@@ -23,7 +23,7 @@ def seconds(n_cases: int, wall: LinearWall) -> float:
     vessels = [Vessel((Stenosis(blockage),)) for blockage in blockages]
     waveforms = coronary().family(np.linspace(-0.5, 1.75, n_cases).tolist())
     start = time.perf_counter()
-    Tube1D(wall, cycles=1).simulate(vessels, waveforms, OUTLET)
+    Tube1D(wall, cycles=1).solve(vessels, waveforms, OUTLET)
     return (time.perf_counter() - start) / n_cases
 
 

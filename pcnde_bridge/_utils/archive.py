@@ -115,7 +115,7 @@ def interpreting(where: StrPath, what: str) -> Iterator[None]:
     except FileError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else error
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise FileError(f"{where} is not a complete {what}: {reason}.") from error
 
 

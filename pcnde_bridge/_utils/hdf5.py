@@ -46,7 +46,9 @@ def read_dataset(group: Any, name: str, budget: Budget | None = None) -> AnyArra
     budget.claim(at.size * max(at.dtype.itemsize, 8))
     budget.claim(math.prod(at.chunks or ()) * at.dtype.itemsize)
     if h5py.check_string_dtype(at.dtype) is not None:
-        return np.asarray(at.asstr("utf-8")[()], dtype=np.str_)
+        texts = np.asarray(at.asstr("utf-8")[()], dtype=object)
+        budget.claim(4 * texts.size * max(map(len, texts.flat), default=0))
+        return texts.astype(np.str_)
     return np.asarray(at[()])
 
 

@@ -181,7 +181,7 @@ class Explorer:
 
     def _solve(self, inputs: Inputs) -> Cases:
         tube, outlet = self.solver_setup(inputs)
-        return tube.simulate([inputs.vessel], [inputs.waveform], outlet)
+        return tube.solve([inputs.vessel], [inputs.waveform], outlet)
 
     def novelty(self, inputs: Inputs) -> dict[str, float]:
         """Return the scores of :meth:`~pcnde_bridge.PCNDE.novelty_scores` by name."""

@@ -79,7 +79,10 @@ def _read_npz(path: Path) -> dict[str, AnyArray]:
     with np.load(path, allow_pickle=False) as archive:
         check_members(archive.zip, path.stat().st_size)
         _check_header(path, stated_facts(archive))
-        return dict(archive)
+        contents = dict(archive)
+    # Numbers become 8 bytes each.
+    Budget(path.stat().st_size).claim(sum(8 * values.size for values in contents.values()))
+    return contents
 
 
 def _write_h5(

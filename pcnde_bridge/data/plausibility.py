@@ -21,12 +21,17 @@ _BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
 
 
 class _Range(NamedTuple):
-    """Usual range of a number that is a product of powers of measured quantities."""
+    """Usual range of a number that is a product of powers of measured quantities.
+
+    Outside ``least`` and ``most`` it is impossible, even if the units are stated.
+    """
 
     name: str
     unit: str
     low: float
     high: float
+    least: float
+    most: float
     powers: Mapping[str, float]
     factor: float = 1.0
 
@@ -40,21 +45,22 @@ class _Range(NamedTuple):
 # Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
 # Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise.
 # The published volumes grow by half of the difference of the flows; exact solutions have 1.
+_INERTIA, _POISEUILLE = 1 / (_ROOT * _VISCOSITY), 1 / (0.32 * _ROOT)
 _RANGES = (
-    _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, {"pressure": 1}),
-    _Range("the mean flow", " mL/s", 0.01, 250, {"flow": 1}),
-    _Range("the median undeformed area", " cm²", 5e-3, 20, {"area": 1}),
-    _Range("the length of the vessel", " cm", 0.2, 100, {"z": 1}),
-    _Range("the length of the recording", " s", 0.25, 60, {"time": 1}),
-    _Range("the area over the undeformed area", "", 0.6, 1.55, {"ratio": 1, "area": 0}),
-    _Range("flow over area", " cm/s", 1, 100, {"flow": 1, "area": -1}),
-    _Range("the Reynolds number", "", 4, 6000, {"flow": 1, "area": -0.5}, 1 / (_ROOT * _VISCOSITY)),
-    _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, _SHEAR, 1 / (0.32 * _ROOT)),
-    _Range("the length over the diameter", "", 2.5, 100, {"z": 1, "area": -0.5}, _ROOT),
-    _Range("inflow less outflow, over the growth of the volume,", "", 0.3, 2.8, _BALANCE),
+    _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, -1e5, 4e5, {"pressure": 1}),
+    _Range("the mean flow", " mL/s", 0.01, 250, 0.002, 750, {"flow": 1}),
+    _Range("the median undeformed area", " cm²", 5e-3, 20, 2e-3, 60, {"area": 1}),
+    _Range("the length of the vessel", " cm", 0.2, 100, 0.05, 300, {"z": 1}),
+    _Range("the length of the recording", " s", 0.25, 60, 0.08, 300, {"time": 1}),
+    _Range("the area over the undeformed area", "", 0.6, 1.55, 0.2, 5, {"ratio": 1, "area": 0}),
+    _Range("flow over area", " cm/s", 1, 100, 0.2, 400, {"flow": 1, "area": -1}),
+    _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _INERTIA),
+    _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.2, 5, _SHEAR, _POISEUILLE),
+    _Range("the length over the diameter", "", 2.5, 100, 0.8, 300, {"z": 1, "area": -0.5}, _ROOT),
+    _Range("inflow less outflow, over the growth of the volume,", "", *(0.3, 2.8) * 2, _BALANCE),
 )
 _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
-_GAP = 3.0  # times the largest step of a waveform, between its end and its start
+_GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
 _RESOLVED = 16  # time points that show the shape of a waveform
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
 _TRANSPOSED = (
@@ -180,7 +186,7 @@ def check_units(
     sizes : dict of str to array of shape (case,)
         Sizes of vessels, taken to be in CGS units.
     stated : collection of str
-        Quantities whose units are stated; numbers of these alone are not checked.
+        Quantities whose units are stated; numbers of these alone need only be possible.
     advice : Advice
         Advice for the message.
     unique : bool
@@ -190,8 +196,8 @@ def check_units(
     Raises
     ------
     InputError
-        If a number is unusual; the message suggests the units if only one combination of
-        them makes all numbers usual.
+        If a number is impossible, or unusual; the message suggests the units if only one
+        combination of them makes all numbers usual.
     """
     open_ = [name for name in FACTORS if name in sizes and name not in stated]
     if "pressure" in open_ and (sizes["pressure"] < 0).any():
@@ -199,7 +205,18 @@ def check_units(
             f"the mean pressure is {sizes['pressure'].min():.4g}; pressures must be relative to "
             f"the surroundings, as blood pressures are. If they are, {advice.confirm}."
         )
-    measured = list(_measured(sizes, open_))
+    measured = []
+    for usual, low, high in _measured(sizes):
+        if usual.powers.keys() & {*open_}:
+            measured.append((usual, low, high))
+        elif unique and usual.powers is _BALANCE:
+            continue  # start-up cycles need not balance
+        elif low < usual.least or high > usual.most:
+            wrong = low if low < usual.least else high
+            raise InputError(
+                f"with the stated units {usual.name} is {wrong:.4g}{usual.unit}, possible are "
+                f"{usual.least:g} to {usual.most:g}. Correct the units (--units), or the numbers."
+            )
 
     def all_usual(units: Mapping[str, str]) -> bool:
         return all(usual.holds(low, high, units) for usual, low, high in measured)
@@ -236,11 +253,10 @@ def check_units(
     )
 
 
-def _measured(sizes: Sizes, open_: Collection[str]) -> Iterator[tuple[_Range, float, float]]:
-    """Yield the ranges that depend on open units, with the least and the largest number."""
+def _measured(sizes: Sizes) -> Iterator[tuple[_Range, float, float]]:
+    """Yield the ranges of known quantities, with the least and the largest number."""
     for usual in _RANGES:
-        names = usual.powers.keys()
-        if names & {*open_} and names <= sizes.keys():
+        if usual.powers.keys() <= sizes.keys():
             powers = [sizes[name] ** power for name, power in usual.powers.items()]
             values = usual.factor * math.prod(powers)
             if not np.isnan(values).all():
@@ -300,6 +316,17 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     for name, values in variables.items():
         check_samples(name, values, time)
     check_flow(variables["flow"], variables["area"], z, flip)
+    for name in ("area", "pressure"):
+        mean = np.abs(variables[name].mean(axis=0))
+        missing, present = mean < 1e-3 * mean.max(), mean > 0.5 * mean.max()
+        missing[1:-1] &= present[:-2] | present[2:]
+        missing[[0, -1]] &= present[[1, -2]]
+        if missing.any():
+            at = int(missing.argmax())
+            raise InputError(
+                f"the mean {name} is {mean[at]:.4g} at z = {z[at]:.4g} cm (point {at}), and usual "
+                "beside it: leave out the points without results."
+            )
     stress = variables.get("wall_shear_stress", np.ones((1, 1)))
     if (usual := np.median(stress.mean(axis=0))) < 0:
         raise InputError(
@@ -332,14 +359,7 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
     """
     if len(time) < _RESOLVED or np.ptp(np.diff(time)) > 1e-3 * (time[1] - time[0]):
         return
-    floor = 1e-4 * np.abs(values).max(axis=0)
-    gap, steps = np.abs(values[0] - values[-1]), np.abs(np.diff(values, axis=0)).max(axis=0)
-    if gap[at := int((gap - _GAP * steps - floor).argmax())] > _GAP * steps[at] + floor[at]:
-        raise InputError(
-            f"it is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
-            f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
-            "or pass the period (--period)."
-        )
+    floor = np.maximum(1e-4 * np.abs(values).max(axis=0), np.finfo(float).tiny)
 
     def deviation(of: Array) -> Array:
         before, after = (np.roll(of, n, axis=0) for n in (1, -1))
@@ -360,6 +380,31 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
             f" and the time points around it give {repaired[row, at]:.4g}: a single sample is "
             "damaged. Correct it, or interpolate it."
         )
+    gaps = _gaps(values, floor)
+    if gaps[at := int(gaps.argmax())] > _GAP:
+        raise InputError(
+            f"it is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
+            f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
+            "or pass the period (--period)."
+        )
+
+
+def _gaps(values: Array, floor: Array) -> Array:
+    """Return the gap between the end and the start of each signal over the largest within it.
+
+    A gap is the step to the next time point, or both its distance from a line and from a
+    parabola through those on one side, whichever side is nearer.
+    """
+    found: list[Array] = []
+    for weights in ((1,), (2, -1), (3, -3, 1)):
+        off = [
+            values - sum(w * np.roll(values, side * n, axis=0) for n, w in enumerate(weights, 1))
+            for side in (1, -1)
+        ]
+        jumps = np.minimum(np.abs(off[0]), np.abs(np.roll(off[1], 1, axis=0)))
+        found.append(jumps[0] / np.maximum(jumps[len(weights) : -2].max(axis=0), floor))
+    step, line, parabola = found
+    return np.maximum(step, np.minimum(line, parabola))
 
 
 def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:

@@ -66,8 +66,10 @@ def sobol_indices(
     MissingExtraError
         If SALib is not installed.
     InputError
-        If a range or an index is not usable.
+        If the model, a range or an index is not usable.
     """
+    if not callable(getattr(model, "predict", None)):
+        raise InputError(f"model must be a fitted model, got {type(model).__name__}.")
     if not isinstance(ranges, Mapping) or not ranges:
         raise InputError(f"ranges must name some of {list(INPUTS)}, got {ranges!r}.")
     for name, limits in ranges.items():

@@ -111,66 +111,23 @@ class Tube1D(TubeSettings):
     --------
     >>> from pcnde_bridge.hemodynamics import Stenosis, Tube1D, Vessel, Windkessel, coronary
     >>> vessels = [Vessel(), Vessel((Stenosis(0.7),))]
-    >>> cases = Tube1D().simulate(vessels, [coronary()] * 2, Windkessel(1e5))  # doctest: +SKIP
+    >>> cases = Tube1D().solve(vessels, [coronary()] * 2, Windkessel(1e5))  # doctest: +SKIP
     """
 
-    def simulate(
+    def solve(
         self,
-        vessels: Sequence[Vessel],
+        vessels: Sequence[Vessel] | npt.ArrayLike,
         waveforms: Sequence[Waveform],
         outlet: Outlet,
         *,
         n_points: int = 101,
-        initial_pressure: npt.ArrayLike | None = None,
-        labels: Labels = None,
-        inlet: Inlet = "flow",
-    ) -> Cases:
-        """Solve idealized vessels, each with its waveform.
-
-        Parameters
-        ----------
-        vessels : sequence of Vessel, n_cases
-            Vessels of the same length.
-        waveforms, outlet, initial_pressure, labels, inlet
-            See :meth:`solve`.  The label ``blockage`` is the vessel's by default.  Without
-            labels, a pair of vessel and waveform that is repeated, at another outlet, is
-            another geometry.
-        n_points : int
-            Points along the vessel.
-
-        Returns
-        -------
-        Cases
-            See :meth:`solve`.
-
-        Raises
-        ------
-        InputError
-            If the input is not usable; nothing has been computed then.
-        SolveError
-            If a case diverges.
-        """
-        return self.solve(
-            **on_grid(vessels, waveforms, n_points, labels),
-            waveforms=waveforms,
-            outlet=outlet,
-            initial_pressure=initial_pressure,
-            inlet=inlet,
-        )
-
-    def solve(
-        self,
-        z: npt.ArrayLike,
-        area_undeformed: npt.ArrayLike,
-        waveforms: Sequence[Waveform],
-        outlet: Outlet,
-        *,
+        z: npt.ArrayLike | None = None,
         stenoses: Sequence[Sequence[Stenosis]] | None = None,
         initial_pressure: npt.ArrayLike | None = None,
         labels: Labels = None,
         inlet: Inlet = "flow",
     ) -> Cases:
-        """Solve vessels given by their undeformed area.
+        """Solve idealized vessels or undeformed areas, each with its waveform.
 
         Every case starts from rest (Q = 0).  Periodicity and volume balance of
         each case are returned as labels, and logged at level DEBUG.  A slow outlet, or a soft wall,
@@ -179,22 +136,26 @@ class Tube1D(TubeSettings):
 
         Parameters
         ----------
-        z : array_like, shape (n_points,)
-            Equally spaced points from the inlet to the outlet, cm.
-        area_undeformed : array_like, shape (n_cases, n_points)
-            S_u, cm².
+        vessels : sequence of Vessel, n_cases, or array_like of shape (n_cases, n_points)
+            Idealized vessels of the same length, or S_u, cm², at the points z.
         waveforms : sequence of Waveform, n_cases
             Inlet flows, or pressures, of the same period.
         outlet : Outlet
             Outlet common to all cases, or with one value per case.
+        n_points : int
+            Points along idealized vessels.
+        z : array_like, shape (n_points,), optional
+            Equally spaced points from the inlet to the outlet, cm, of given areas.
         stenoses : sequence of sequences of Stenosis, n_cases
-            Stenoses in which the Seeley–Young drop acts; none by default.  Position, length
-            and blockage are used; S_D is S_u at the last point before the stenosis.
+            Stenoses, in given areas, in which the Seeley–Young drop acts; none by default.
+            Position, length and blockage are used; S_D is S_u at the last point before.
         initial_pressure : float or array_like of shape (n_cases,), optional
             Pressure at rest, in the vessel and in the capacitances of the outlet,
             dyn/cm².  By default the wall's reference pressure, so that S = S_u.
         labels : DataFrame or mapping, optional
-            See :class:`~pcnde_bridge.data.cases.Cases`.
+            See :class:`~pcnde_bridge.data.cases.Cases`.  By default idealized vessels and
+            waveforms are numbered; a pair that is repeated, at another outlet, is another
+            geometry.  The label ``blockage`` is the vessel's by default.
         inlet : {'flow', 'pressure'}
             Quantity of the waveforms: Q in mL/s, or p in dyn/cm².
 
@@ -219,17 +180,12 @@ class Tube1D(TubeSettings):
         SolveError
             If a case diverges; names the case, the time and the place.
         """
-        problem = discretize(
-            self,
-            z,
-            area_undeformed,
-            waveforms,
-            outlet,
-            stenoses=stenoses,
-            initial_pressure=initial_pressure,
-            labels=labels,
-            inlet=inlet,
-        )
+        given: dict[str, Any] = {"z": z, "area_undeformed": vessels}
+        given |= {"stenoses": stenoses, "labels": labels}
+        if z is None:
+            given |= on_grid(given["area_undeformed"], waveforms, n_points, labels)
+        options: Any = {"initial_pressure": initial_pressure, "inlet": inlet}
+        problem = discretize(self, waveforms=waveforms, outlet=outlet, **given, **options)
         return self.run(problem).check()
 
     def run(self, problem: Problem, state: Any = None) -> Solution:
@@ -402,10 +358,10 @@ class Tube1D(TubeSettings):
                 f"The data start at {cases.time[0]:g} s; subtract the first time point."
             )
         return self.solve(
-            cases.z,
             cases.area_undeformed,
             [Waveform.from_samples(q, period=cases.period, n_terms=None) for q in cases.inflow],
             outlet or Windkessel(outlet_resistance(cases)),
+            z=cases.z,
             stenoses=[_find_stenosis(cases.z, s, stenosis_length) for s in cases.area_undeformed],
             initial_pressure=initial_pressure,
             labels=cases.labels.drop(columns=list(SOLVER_LABELS), errors="ignore"),

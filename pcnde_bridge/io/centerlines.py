@@ -1,6 +1,7 @@
 """Predictions as centerline files for SimVascular and ParaView (``.vtp``, ``.pvd``)."""
 
 import contextlib
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import StrPath
+from pcnde_bridge._typing import AnyArray, StrPath
+from pcnde_bridge._utils.archive import sha256_arrays
 from pcnde_bridge._utils.files import atomic_write, check_writable, make_folder
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge._version import __version__
@@ -21,7 +23,14 @@ LABEL_PREFIX = "labels/"
 """Beginning of the names of field data that are labels of a case."""
 
 WRITER = "pcnde_bridge"
-"""Name of the array that marks files of this package."""
+"""Name of the text in files of this package: its version, and the checksum of the results."""
+
+
+def checksum(arrays: Mapping[str, AnyArray], labels: Mapping[str, Any], period: Any) -> str:
+    """Return the SHA-256 checksum of a vessel's results and their labels."""
+    plain = {name: np.asarray(value).item() for name, value in labels.items()}
+    facts = json.dumps([period, plain], sort_keys=True)
+    return sha256_arrays({**dict(sorted(arrays.items())), "facts": np.array(facts)})
 
 
 def write_vtp(prediction: VesselQuantities, path: StrPath) -> list[Path]:
@@ -132,16 +141,22 @@ def _vtp(prediction: VesselQuantities, case: int, step: int | None) -> bytes:
     data.GetPoints().GetData().SetName("Points")
     for name, values in _point_arrays(prediction, case, step).items():
         wrapped.PointData.append(values, name)
-    labels = prediction.labels.iloc[case].add_prefix(LABEL_PREFIX)
-    for name, value in {"period": prediction.period, WRITER: __version__, **labels}.items():
+    found = prediction.labels.iloc[case].to_dict()
+    # VTK has no bool.
+    labels = {str(k): int(v) if isinstance(v, bool | np.bool_) else v for k, v in found.items()}
+    arrays = {name: values[case] for name, values in prediction.variables().items()}
+    arrays |= {"area_undeformed": prediction.area_undeformed[case], "time": prediction.time}
+    digest = checksum({**arrays, "z": prediction.z - prediction.z[0]}, labels, prediction.period)
+    facts = {f"{LABEL_PREFIX}{name}": value for name, value in labels.items()}
+    facts |= {"period": prediction.period, WRITER: f"{__version__} {digest}"}
+    for name, value in facts.items():
         if isinstance(value, str):
             text = core.vtkStringArray()
             text.SetName(name)
             text.InsertNextValue(value)
             data.GetFieldData().AddArray(text)
         else:
-            number = int(value) if isinstance(value, bool | np.bool_) else value  # VTK has no bool
-            wrapped.FieldData.append(np.array([number]), name)
+            wrapped.FieldData.append(np.array([value]), name)
     writer = require("vtkmodules.vtkIOXML", "vtk").vtkXMLPolyDataWriter()
     writer.SetInputData(data)
     writer.WriteToOutputStringOn()

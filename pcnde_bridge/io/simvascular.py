@@ -23,12 +23,12 @@ import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, IntArray
 from pcnde_bridge._utils.archive import with_prefix
-from pcnde_bridge._utils.files import as_paths, reading
+from pcnde_bridge._utils.files import Budget, as_paths, reading
 from pcnde_bridge._utils.validation import positive
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.errors import FileError, InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, read_vessels
-from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER
+from pcnde_bridge.io.centerlines import LABEL_PREFIX, WRITER, checksum
 from pcnde_bridge.io.vessel_results import VesselResults
 from pcnde_bridge.io.vtp import Lines, read_lines, xml_root
 
@@ -121,14 +121,26 @@ def _collection(path: Path) -> dict[Path, dict[str, Path]]:
 
 def _merged(files: Mapping[str, Path]) -> Lines:
     """Return the files of a time series as one, with the time step in the names of arrays."""
-    first, *others = (read_lines(path) for path in files.values())
-    arrays = {name: v for name, v in first.arrays.items() if not _VARIABLE.fullmatch(name)}
-    for step, found in zip(files, (first, *others), strict=True):
+    budget = Budget(2 * sum(path.stat().st_size for path in {*files.values()} if path.is_file()))
+    first: Lines | None = None
+    arrays: dict[str, Array] = {}
+    for step, path in files.items():
+        found = read_lines(path)
+        if first is None:
+            first = found
+            arrays |= {n: v for n, v in found.arrays.items() if not (step and _is_variable(n))}
         if not np.array_equal(found.points, first.points):
-            raise InputError(f"{files[step]} has other points than the first file.")
-        named = {n: v for n, v in found.arrays.items() if step and _VARIABLE.fullmatch(n)}
+            raise InputError(f"{path} has other points than the first file.")
+        named = {n: v for n, v in found.arrays.items() if step and _is_variable(n)}
+        with reading(path, "a .vtp file of a time series"):
+            budget.claim(sum(values.nbytes for values in named.values()))
         arrays |= {f"{name}_{step}": values for name, values in named.items()}
-    return first._replace(arrays=arrays if all(files) else first.arrays)
+    assert first is not None
+    return first._replace(arrays=arrays)
+
+
+def _is_variable(name: str) -> bool:
+    return _VARIABLE.fullmatch(name) is not None
 
 
 def _vessel(
@@ -137,9 +149,9 @@ def _vessel(
     """Return the results of a vessel, in the order of time and from its inlet on."""
     points, arrays = _from_inlet_on(centerline, branch)
     names = _names_by_step(arrays)
-    for name in names.get("wall_shear_stress", {}).values():
-        if arrays[name].ndim == 2:
-            arrays[name] = np.linalg.norm(arrays[name], axis=1)
+    for stress in names.get("wall_shear_stress", {}).values():
+        if arrays[stress].ndim == 2:
+            arrays[stress] = np.linalg.norm(arrays[stress], axis=1)
     undeformed = next((name for name in _UNDEFORMED if name in arrays), None)
     if undeformed is None:
         raise InputError("it has no undeformed area: CenterlineSectionArea or area_undeformed.")
@@ -157,7 +169,7 @@ def _vessel(
         z = _scalar(arrays, "Path") - arrays["Path"][:1]
     facts = centerline.facts
     period = facts.get("period")
-    return VesselResults(
+    results = VesselResults(
         name,
         **fields,
         area_undeformed=_scalar(arrays, undeformed),
@@ -167,6 +179,11 @@ def _vessel(
         period=None if isinstance(period, str) else period,
         predicted=WRITER in facts,
     )
+    arrays = {**results.variables(), "area_undeformed": results.area_undeformed}
+    digest = checksum({**arrays, "time": results.time, "z": z}, results.labels, results.period)
+    if results.predicted and str(facts[WRITER]).split()[-1:] != [digest]:
+        raise FileError(f"{name} was changed after it was written: its checksum is wrong.")
+    return results
 
 
 def _from_inlet_on(centerline: Lines, branch: int | None) -> tuple[Array, dict[str, Array]]:

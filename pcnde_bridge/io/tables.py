@@ -24,6 +24,7 @@ _OLD_PANDAS = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _OLD_PANDAS else {}
 _COMPRESSED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _TABLE = "a table of comma-separated values in UTF-8"
+_MOST_COLUMNS, _MOST_VALUES = 100_000, 5_000_000
 _LARGEST = np.iinfo(np.int64).max
 _TRUTH = {"True": True, "False": False}
 _DECIMAL = re.compile(r"-?(inf|(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d+)?)", re.ASCII)
@@ -62,10 +63,14 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
 def _check_unpacked(path: Path) -> None:
     """Refuse a compressed table that is much larger than its file."""
     if path.suffix in _COMPRESSED and path.is_file():
-        budget = Budget(path.stat().st_size)
+        stored, values = path.stat().st_size, 0
+        budget = Budget(stored)
         with _COMPRESSED[path.suffix](path, "rb") as content:
             while block := content.read(1 << 20):
                 budget.claim(len(block))
+                values += sum(map(block.count, (b",", b";", b"\t", b"\n")))
+        if values > _MOST_VALUES + stored // 3:
+            raise ValueError(f"it has {values} values in a file of {stored} bytes")
 
 
 def _opened(path: Path) -> TextIO:
@@ -95,8 +100,10 @@ def first_line(path: StrPath) -> str:
         return ""
     with reading(path, _TABLE):
         with _opened(Path(path)) as text:
-            head = text.read(1 << 20).splitlines()  # a damaged file may be a single line
-        return next((line for line in head if line.strip() and line[0] != "#"), "")
+            line = next((line for line in text if line.strip() and line[0] != "#"), "")
+        if (count := sum(map(line.count, ",;\t"))) > _MOST_COLUMNS:
+            raise ValueError(f"it has {count} columns")
+        return line.rstrip("\n")
 
 
 def numbers(path: StrPath, column: pd.Series[Any]) -> Array:

@@ -29,6 +29,8 @@ _TYPES = {name: np.dtype(name.lower()) for name in ("Float32", "Float64", *_INTE
 _TYPES["String"] = np.dtype("u1")
 """Types of numbers, or of the bytes of a text, by their names in VTK."""
 
+_MOST_TAGS = 1_000_000
+
 _DECOMPRESSORS: Mapping[str | None, Callable[[], Any]] = {
     "vtkZLibDataCompressor": zlib.decompressobj,
     "vtkLZMADataCompressor": lzma.LZMADecompressor,
@@ -90,6 +92,8 @@ def xml_root(content: bytes) -> ElementTree.Element:
     # In UTF-16, which has zero bytes, entities could hide.
     if any(word in content for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")):
         raise ValueError("it defines XML entities, or is not UTF-8 text")
+    if (count := content.count(b"<")) > _MOST_TAGS:
+        raise ValueError(f"it has {count} tags")
     return ElementTree.fromstring(content, ElementTree.XMLParser(encoding="utf-8"))
 
 

@@ -208,6 +208,11 @@ def smoothness(
         top.set_title(title, fontsize=10)
         top.set_xlabel(style.SPACE_LABEL)
         bottom.set_xlabel(style.TIME_LABEL)
+    for column, truth in ((1, study.results["truth", subset].slope), (2, 100 * cases.area)):
+        largest = np.abs(truth[case]).max()
+        for axis in axes[:, column]:
+            if np.abs(axis.get_ylim()).max() > 10 * largest:  # would hide the truth
+                axis.set_yscale("symlog", linthresh=2 * largest)
     axes[0, 0].set_ylabel(f"t = {cases.time[time_index]:.2f} s")
     axes[1, 0].set_ylabel(f"z = {cases.z[z_index]:.1f} cm")
     style.add_legend(figure, axes[0, 0], below=True)

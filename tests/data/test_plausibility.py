@@ -222,6 +222,56 @@ def test_units_are_all_tried():
                 check_units(sizes_of(**in_units(fields, mix)), (), OPTION, unique=True)
 
 
+@pytest.mark.parametrize("name", FACTORS)
+def test_a_wrongly_stated_unit_is_refused(name):
+    """An elastic artery in CGS units, one of which is stated wrongly."""
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5)
+    check_units(sizes_of(**fields), FACTORS, OPTION)
+    arrays = {name, "area_undeformed"} if name == "area" else {name}
+    for factor in FACTORS[name].values():
+        read = {n: factor * v if n in arrays else v for n, v in fields.items()}
+        if factor != 1:
+            with pytest.raises(InputError, match=r"with the stated units .* possible are"):
+                check_units(sizes_of(**read), FACTORS, OPTION)
+
+
+@pytest.mark.parametrize(("real", "stated"), itertools.permutations(SYSTEMS, 2))
+def test_a_wrongly_stated_system_is_refused(real, stated):
+    fields = artery(0.4, 20.0, 10.0, 1.0, 1.3e5)
+    factors = factors_to_cgs(SYSTEMS[stated])
+    factors["area_undeformed"] = factors["area"]
+    read = {n: v * factors[n] for n, v in in_units(fields, SYSTEMS[real]).items()}
+    with pytest.raises(InputError, match=r"with the stated units .* possible are"):
+        check_units(sizes_of(**read), FACTORS, OPTION)
+
+
+def test_units_that_are_stated_may_be_unusual():
+    """Start-up cycles need not balance; pressures may be relative to that of the outlet."""
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5, shear=None)
+    check_units(sizes_of(**{**fields, "pressure": fields["pressure"] - 1.3e5}), FACTORS, OPTION)
+    fast = sizes_of(**{**fields, "flow": 5 * fields["flow"]})
+    check_units(fast, FACTORS, OPTION, unique=True)
+    with pytest.raises(InputError, match="inflow less outflow"):
+        check_units(fast, FACTORS, OPTION)
+
+
+@pytest.mark.parametrize("name", ["area", "pressure"])
+@pytest.mark.parametrize("points", [[0], [6], [3], [5, 6], [0, 1, 6]])
+def test_points_without_results_are_refused(name, points):
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5)
+    variables = {n: np.array(fields[n][0]) for n in ("flow", "area", "pressure")}
+    variables[name][:, points] = 1e-9
+    at = max(points) - 1 if points == [5, 6] else {0: 0, 6: 6, 3: 3}[points[0]]
+    at = 1 if points == [0, 1, 6] else at
+    with pytest.raises(InputError, match=rf"the mean {name} is 1e-09 at z = .* \(point {at}\)"):
+        check_vessel(variables, fields["z"], fields["time"], "")
+    # A pressure that falls to zero at the outlet is one.
+    falls = np.linspace(1, 0, 7) * np.ones((16, 1))
+    check_vessel(
+        {**variables, "area": fields["area"][0], "pressure": falls}, fields["z"], fields["time"], ""
+    )
+
+
 def waveform(n=100):
     """Mean, and three harmonics with the amplitudes of an artery's, (time, 2)."""
     angle = 2 * np.pi * np.arange(n)[:, None] / n + [0.0, 1.0]
@@ -277,7 +327,7 @@ def test_a_factor_of_the_flow_is_found():
 
 def test_less_or_more_than_a_cycle_is_refused():
     values = waveform()
-    for part in (values[:50], values[:90], np.concatenate([values, values[:50]])):
+    for part in (values[:50], values[:80], values[:90], np.concatenate([values, values[:50]])):
         with pytest.raises(InputError, match=r"not one cycle: flow ends at .* \(point \d\)"):
             check_samples("flow", part, np.arange(len(part)) / 100)
     check_samples("flow", np.concatenate([values, values]), np.arange(200) / 100)

@@ -79,6 +79,11 @@ def test_unusable_ranges_are_refused(ranges):
         sobol_indices(Formula(), ranges)
 
 
+def test_no_model_is_refused():
+    with pytest.raises(InputError, match="model must be a fitted model, got str"):
+        sobol_indices("model.npz", RANGES)
+
+
 def test_unknown_indices_are_refused():
     with pytest.raises(InputError, match="no index 'weight'"):
         sobol_indices(Formula(), RANGES, ("weight",), samples=2)

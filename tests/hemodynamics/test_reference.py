@@ -39,7 +39,7 @@ def test_solver_converges_to_the_reference(tube, name):
     # Second order in time: 2e-6 with the default of 500 steps, 16 times less with 2000.
     for steps, tolerance in ((500, 5e-6), (2000, 3e-7)):
         solver = Tube1D(n_times=20, steps=steps, **SETTINGS[name])
-        cases = solver.simulate([vessel], [waveform], outlet, n_points=21)
+        cases = solver.solve([vessel], [waveform], outlet, n_points=21)
         np.testing.assert_allclose(cases.area_undeformed[0], tube["area_undeformed"], rtol=1e-14)
         assert_near(cases.flow[0], tube[f"{name}_flow"], tolerance)
         assert_near(cases.pressure[0], tube[f"{name}_pressure"], tolerance)

@@ -104,7 +104,7 @@ def test_the_solver_stands_in_for_a_vessel(tmp_path):
     given = read_sv0d(tmp_path / "in.json")
     vessel, wall = given.geometry(Tube1D())
     tube = Tube1D(wall, n_times=4, steps=40)
-    cases = tube.simulate([vessel], [given.waveform], given.outlet, n_points=11)
+    cases = tube.solve([vessel], [given.waveform], given.outlet, n_points=11)
     assert cases.pressure[0, -1, -1] == pytest.approx(1500.0, rel=1e-6)
     assert cases.pressure[0, -1, 0] == pytest.approx(2000.0, rel=1e-2)
 

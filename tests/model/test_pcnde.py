@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from datetime import datetime
 
 import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from helpers import same_bits
+from helpers import case_arguments, same_bits
 
 from pcnde_bridge import (
     PCNDE,
@@ -389,9 +390,16 @@ def test_joined_batches_have_unique_cases(small_model, small_cases):
 
 
 def test_a_prediction_that_is_not_finite_is_an_error(small_model, small_cases):
-    inflow = small_cases.inflow.copy()
-    inflow[3] *= 1e200
+    flow = small_cases.flow.copy()
+    flow[3] *= 1e200
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        cases = Cases(**case_arguments(small_cases, flow=flow), check=False)
     with pytest.raises(SolveError, match=r"case 3 is not finite|for case 3"):
+        small_model.predict(cases)
+    inflow = np.array(small_cases.inflow)
+    inflow[3] *= 1e200
+    with pytest.raises(InputError, match=r"with the stated units the mean flow is \d.*e\+200 mL/s"):
         small_model.predict(inflow, small_cases.area_undeformed, units="cgs")
 
 

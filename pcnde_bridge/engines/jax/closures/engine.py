@@ -69,6 +69,7 @@ class JaxClosures(Closures):
             return _problem(_area, data, (grid.z,), config)
         *parameters, flow, flow_rate, area_undeformed = data
         distinct, which = np.unique(area_undeformed, axis=0, return_inverse=True)
+        which = which.ravel()  # NumPy 2.0.0 returns a column
         if name == "losses":
             return _problem(_losses, (which, flow, flow_rate), (distinct, grid.z), config)
         own_points = config.replace(losses={"spacing": None})
