@@ -25,6 +25,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
 from pcnde_bridge.data.indices import poiseuille_wall_shear_stress, pressure_drop
 from pcnde_bridge.data.stenosis import healthy_area, measuring_positions, throats
+from pcnde_bridge.engines.shared_terms import rate as rate_of
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
@@ -171,7 +172,7 @@ class StenosisLoss(Unchanged):
     def predict(self, cases: Cases) -> dict[str, Array]:
         """Predict the inflow, the undeformed area and the loss; see :class:`Baseline`."""
         found = super().predict(cases)
-        flow, rate = cases.inflow, _rate(cases.inflow, cases.period)
+        flow, rate = cases.inflow, rate_of(cases.inflow, cases.period)
         drop = self.loss(flow, rate, *_areas(cases), self.stenosis_length)
         return found | {"pressure": found["pressure"] + _upstream(drop, cases)}
 
@@ -329,17 +330,10 @@ class DropRegression:
         points, _ = throats(cases.z, cases.area_undeformed)
         flow = flow[np.arange(len(cases)), :, points]
         healthy, throat = _areas(cases)
-        rate = _rate(flow, cases.period)
+        rate = rate_of(flow, cases.period)
         terms = np.stack([flow, flow * abs(flow) ** 0.5, flow * abs(flow), rate], axis=-1)
         powers = (healthy / throat)[..., None, None] ** np.arange(self.degree + 1)
         return (terms[..., None] * powers).reshape(*flow.shape, -1)
-
-
-def _rate(flow: Array, period: float) -> Array:
-    """Return ∂Q/∂t, mL/s², of a periodic flow (case, time), from its Fourier series."""
-    count = flow.shape[1]
-    frequencies = np.fft.rfftfreq(count, period / count)
-    return np.fft.irfft(2j * np.pi * frequencies * np.fft.rfft(flow, axis=1), count, axis=1)
 
 
 def _areas(cases: Cases) -> tuple[Array, Array]:

@@ -123,21 +123,25 @@ def calibrate(
     with double_precision():
         compiled = _compiled(predict, names)
 
+        @lru_cache(maxsize=1)  # SciPy asks for the Jacobian where it has asked for the residual
+        def evaluate(x: bytes) -> list[Array]:
+            return [np.asarray(found) for found in compiled(np.frombuffer(x), first)]
+
         def residual(x: Array) -> Array:
-            misfit = weight * (np.asarray(compiled(x, first)[0]).ravel() - data.ravel())
+            misfit = weight * (evaluate(x.tobytes())[0].ravel() - data.ravel())
             return np.concatenate([misfit, x / spread])
 
         def jacobian(x: Array) -> Array:
-            slope = np.asarray(compiled(x, first)[1]).reshape(data.size, len(names))
+            slope = evaluate(x.tobytes())[1].reshape(data.size, len(names))
             return np.concatenate([weight[:, None] * slope, np.diag(1.0 / spread)])
 
-        predicted = np.asarray(compiled(np.zeros(len(names)), first)[0])
+        predicted, _ = evaluate(np.zeros(len(names)).tobytes())
         if predicted.shape != data.shape:
             raise InputError(f"predict returns the shape {predicted.shape}, not {data.shape}.")
         if not np.isfinite(predicted).all():
             raise SolveError("The prediction is not finite at the first values; change start.")
         found = least_squares(residual, np.zeros(len(names)), jacobian, x_scale="jac", xtol=1e-10)
-        predicted = np.asarray(compiled(found.x, first)[0])
+        predicted, _ = evaluate(found.x.tobytes())
     information = found.jac.T @ found.jac
     if np.linalg.cond(information) > 1e14:
         raise InputError("The measurements do not determine all parameters; give priors.")

@@ -106,8 +106,7 @@ def test_provenance(model, cases):
     assert json.loads(json.dumps(found)) == found
 
 
-def test_same_seed_same_bits_other_seed_others(model, cases):
-    assert same_numbers(fit_physics(cases, seed=np.int64(0)), model)
+def test_another_seed_has_another_network(model, cases):
     other = fit_physics(cases, seed=1)
     assert not np.array_equal(other.parameters.correction, model.parameters.correction)
     assert np.array_equal(other.parameters.wall, model.parameters.wall)
@@ -205,9 +204,9 @@ def test_interrupted_run_goes_on_to_the_same_bits(model, cases, tmp_path, stage,
     assert (records[0].stage, records[0].epoch, records[0].iteration) == (stage, epoch, 1)
 
 
-def test_finished_checkpoint_gives_the_model_at_once(model, cases, tmp_path):
+def test_same_seed_same_bits_and_a_finished_checkpoint_gives_them_at_once(model, cases, tmp_path):
     path, records = tmp_path / "checkpoint", []
-    first = fit_physics(cases, checkpoint=path)
+    first = fit_physics(cases, seed=np.int64(0), checkpoint=path)
     again = fit_physics(cases, checkpoint=path, progress=records.append)
     assert same_numbers(first, again)
     assert same_numbers(first, model)
