@@ -127,7 +127,9 @@ def processes(workers: int) -> _Processes:
     import loky
 
     # Not forked, as JAX and Julia do not survive that; and the user's program is not run again.
-    pool = partial(loky.ProcessPoolExecutor, 1, env={"NPROC": "1"}, initializer=_watch_parent)
+    # JAX cannot store functions with diffrax's checks of its arguments.
+    settings = {"NPROC": "1", "EQX_ON_ERROR": "off"}
+    pool = partial(loky.ProcessPoolExecutor, 1, env=settings, initializer=_watch_parent)
     return _Processes(workers, partial(pool, initargs=(os.getpid(),)))
 
 

@@ -23,6 +23,7 @@ from pcnde_bridge import (
     __version__,
 )
 from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge.cli import main
 from pcnde_bridge.cli.console import (
     note,
     note_warning,
@@ -81,6 +82,14 @@ def fit_options(folder):
 
 
 # ---- in a separate process --------------------------------------------------
+
+
+def test_its_own_process_stores_all_compiled_functions(monkeypatch):
+    found = []
+    monkeypatch.delenv("EQX_ON_ERROR")
+    monkeypatch.setattr(main, "main", lambda: found.append(os.environ["EQX_ON_ERROR"]))
+    main.run()
+    assert found == ["off"]
 
 
 def test_version_and_use():
