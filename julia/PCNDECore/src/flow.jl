@@ -254,9 +254,10 @@ end
 
 never_unstable(_...) = false
 
-initial_step(stage::FlowStage, z) =
-    isnothing(stage.steps) ? something(stage.first_step, z[2] - z[1]) :
-    (z[end] - z[1]) / stage.steps
+function initial_step(stage::FlowStage, z)
+    (; steps, first_step) = stage
+    return isnothing(steps) ? something(first_step, z[2] - z[1]) : (z[end] - z[1]) / steps
+end
 
 function set_cases!(problem::FlowProblem, inflow, area, target)
     shape = (size(problem.inflow)..., length(problem.z))

@@ -72,11 +72,9 @@ end
 Views of a flat parameter vector as the layers' matrices `[W b]`.
 """
 function layer_blocks(vector::Vector{Float64}, network::Network)
-    offset = 0
-    return map(network.matrices) do matrix
-        block = reshape(view(vector, (offset + 1):(offset + length(matrix))), size(matrix))
-        offset += length(matrix)
-        block
+    ends = cumsum(length.(network.matrices))
+    return map(network.matrices, ends) do matrix, last
+        reshape(view(vector, (last - length(matrix) + 1):last), size(matrix))
     end
 end
 
