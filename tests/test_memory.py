@@ -106,7 +106,6 @@ FILES = {
         ROWS[:-1] + b",a\n" + b"".join(b"0,0,1,1,1,1,%d\n" % i for i in range(500_000))
     ),
     "columns.csv": lambda: b"," * 5_000_000,
-    "long row.csv": lambda: ROWS + b"," * 5_000_000,
     "inflow.csv.gz": lambda: gzip.compress(b"t,Q\n" + b"0,0\n" * 6_000_000),
     "inflow.dat": lambda: b"".join(b"%d 1\n" % i for i in range(1_000_000)),
     "cases.npz": lambda: npz((1, 2800, 2800), "i1", "pcnde-cases"),
@@ -114,7 +113,7 @@ FILES = {
     "checkpoint.npz": lambda: npz((1, 1000, 1000), "f8", "pcnde-checkpoint"),
     "bomb.npz": lambda: npz((1, 9000, 3000), "f8", "pcnde-cases"),
     "packed.h5": lambda: hdf5((1, 1000, 900), "i1", (1, 1000, 900)),
-    "bomb.h5": lambda: hdf5((300, 3000, 3000), "f8", (1, 1000, 1000)),
+    "bomb.h5": lambda: hdf5((300, 1000, 1000), "f8", (1, 100, 1000)),
     "a long text.h5": lambda: hdf5((1, 4, 3), "f8", None, a=["a"] * 999 + ["b" * 2_000_000]),
     "elements.in": lambda: SV1D.format(900_000_000).encode(),
     "table.in": lambda: SV1D.format(19).encode(),

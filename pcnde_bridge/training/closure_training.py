@@ -93,9 +93,12 @@ class ClosureTraining(Procedure[ClosureState]):
         return [*(Step(name) for name in CLOSURES), *members]
 
     def count_iterations(self, _: ClosureState) -> int:
-        """Return the usual number of iterations: most fits end long before their limit."""
+        """Return the usual number of iterations: most fits end long before their limit.
+
+        The calibration, which has none, takes as long as 25.
+        """
         most = self.config.correction.evaluations
-        members = 2 * len(self.left_out) * min(self._few, 5)
+        members = 2 * len(self.left_out) * min(self._few, 5) + 25 * bool(self.left_out)
         return sum(min(most, usual) for usual in (10, 6, 10)) + members
 
     @property
