@@ -22,7 +22,7 @@ _OWN = GAMMA / 2
 _WEIGHT = sqrt(2.0) / 4
 
 _MAX_NEWTON = 20
-_NEWTON_TOLERANCE = 1e-3  # of the update before the last step; convergence is quadratic
+_NEWTON_TOLERANCE = 1e-5  # of the last update; convergence is quadratic
 
 
 class Fields(NamedTuple):
@@ -250,7 +250,7 @@ class _Scheme:
         """Take a step of Newton's method; ``carry`` is flow, last update and iteration."""
         flow, _, iteration = carry
         residual, bands = self.balance(stage, flow)
-        update = _tridiagonal_solve(jax.lax.stop_gradient(bands), -residual)
+        update = _tridiagonal_solve(bands, -residual)
         # A case whose update is not finite stays where it was.
         flow = jnp.where(jnp.isfinite(update).all(axis=0), flow + update, flow)
         # Relative to the case's own flow.
@@ -261,35 +261,39 @@ class _Scheme:
         """Solve a stage for the flow on all faces.
 
         Where Newton's method fails from one guess, it starts again from the next.  The
-        derivatives are those of its last step, which are exact because the flow is nearly a root.
+        derivatives are those of the root.
         Also returned: whether each case was solved, and the point where it was not.
         """
         scheme, fixed = self.fixed, jax.lax.stop_gradient(stage)
 
         def attempt(carry: Any) -> Any:
-            flow, solved, number = carry
+            flow, _, solved, number = carry
             flow = jnp.where(solved, flow, jnp.where(number == 0, *guesses))
             update = jnp.where(solved, 0.0, jnp.full_like(flow, jnp.inf))
             newton = partial(scheme.newton, fixed)
             flow, update, _ = jax.lax.while_loop(_unfinished, newton, (flow, update, 0))
             positive = (scheme.area(fixed, flow) > 0.0).all(axis=0)
-            return flow, positive & ~_large(update), number + 1
+            return flow, update, positive & ~_large(update), number + 1
 
         def unsolved(carry: Any) -> Any:
-            return (carry[2] < len(guesses)) & ~carry[1].all()
+            return (carry[3] < len(guesses)) & ~carry[2].all()
 
         guesses = jax.lax.stop_gradient(guesses)
-        start = guesses[0], jnp.zeros(guesses[0].shape[1], bool), 0
-        flow, solved, _ = jax.lax.while_loop(unsolved, attempt, start)
-        flow, update, _ = self.newton(stage, (flow, 0.0, 0))
-        good = solved & ~_large(update)
+        start = guesses[0], guesses[0], jnp.zeros(guesses[0].shape[1], bool), 0
+        root, update, good, _ = jax.lax.while_loop(unsolved, attempt, start)
+        flow = jax.lax.custom_root(
+            lambda flow: self.balance(stage, flow)[0],
+            root,
+            lambda _, found: found,
+            lambda _, right: _tridiagonal_solve(scheme.balance(fixed, root)[1], right),
+        )
 
         def place() -> Any:
             """Return the point where the wall collapsed, or where the flow changes most."""
-            ratio = scheme.area(fixed, flow) / scheme.undeformed
+            ratio = scheme.area(fixed, root) / scheme.undeformed
             collapsed = ~(ratio > 0.0).all(axis=0) | ~jnp.isfinite(update).all(axis=0)
             smallest = jnp.where(ratio[-1] > 0.0, ratio.argmin(axis=0), len(ratio))
-            smallest = jnp.minimum(smallest, len(flow) - 1)
+            smallest = jnp.minimum(smallest, len(root) - 1)
             return jnp.where(collapsed, smallest, update.argmax(axis=0))
 
         nowhere = partial(jnp.full, good.shape, -1)
