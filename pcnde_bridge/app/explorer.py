@@ -14,7 +14,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import PCNDEError
-from pcnde_bridge.hemodynamics.outlet import Windkessel, outlet_resistance
+from pcnde_bridge.hemodynamics.outlet import Outlet, Windkessel, outlet_resistance
 from pcnde_bridge.hemodynamics.pressure_losses import pressure_drop
 from pcnde_bridge.hemodynamics.solver import Tube1D
 from pcnde_bridge.hemodynamics.synthetic import OUTLET_RESISTANCE
@@ -154,7 +154,7 @@ class Explorer:
         drop = pressure_drop(found.flow[0, :, 0], *shape)
         return numbers | {"empirical": float(np.mean(drop)) / MMHG}
 
-    def solver_setup(self, inputs: Inputs) -> tuple[Tube1D, Windkessel]:
+    def solver_setup(self, inputs: Inputs) -> tuple[Tube1D, Outlet]:
         """Return the 1D solver and an outlet with the wall and outlet that the model has learned.
 
         The wall is linear, undeformed at the model's reference pressure, and as stiff as
@@ -174,7 +174,8 @@ class Explorer:
             stiffness = float(wall[0]) / (radius if membrane else 1.0)
             # The linear law depends on E, h and r₀ through 4/3·E·h/r₀ only.
             law = LinearWall(0.75 * stiffness, radius, radius, float(wall[-1]))
-            return Tube1D(wall=law), Windkessel(*map(float, learned["outlet"]))
+            fitted = Windkessel(*map(float, learned["outlet"]))
+            return Tube1D(wall=law), self.model.outlet or fitted
         if self.model.has_pressure:
             return Tube1D(), Windkessel(outlet_resistance(self.prediction(inputs).to_cases()))
         return Tube1D(), Windkessel(OUTLET_RESISTANCE)

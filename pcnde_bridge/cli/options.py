@@ -17,6 +17,7 @@ from pcnde_bridge.errors import InputError
 
 if TYPE_CHECKING:
     from pcnde_bridge.data.cases import Cases, Split
+    from pcnde_bridge.hemodynamics.outlet import Outlet
 
 locks = contextlib.ExitStack()
 """Locks of the files that a command writes; released when it ends."""
@@ -47,6 +48,11 @@ CONFIG = option(None, "JSON file of settings that differ from the preset.", "--c
 SEED = option(0, "Random seed for the initial weights and the batch order.", min=0)
 ENGINE = option("auto", "Compute engine.")
 UNITS = option(None, "cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm.")
+OUTLET = option(
+    None,
+    'JSON file of an outlet (preset physics), such as {"kind": "Windkessel", "resistance": 1e4}.',
+    "--outlet",
+)
 WORKERS = option(1, "Number of parallel processes.", min=1)
 JSON = option(None, "Also write the results to this JSON file.", "--json")
 
@@ -65,6 +71,13 @@ def settings_of(preset: str, path: Path | None) -> Config:
     """Return the settings of ``--preset`` with the changes of ``--config``."""
     settings = resolve_config(preset)
     return settings if path is None else settings.replace(**read_json(path, "settings"))
+
+
+def outlet_of(path: Path | None) -> Outlet | None:
+    """Return the outlet of ``--outlet``."""
+    from pcnde_bridge.hemodynamics.outlet import outlet_from
+
+    return None if path is None else outlet_from(read_json(path, "an outlet"))
 
 
 def split_name(data: str, split: str | None) -> str:

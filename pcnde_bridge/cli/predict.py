@@ -13,7 +13,14 @@ from rich.table import Table
 from pcnde_bridge._utils.files import write_csv, write_json
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import note, say, show, show_numbers
-from pcnde_bridge.cli.options import check_outputs, lock_folder, option, split_of, units_of
+from pcnde_bridge.cli.options import (
+    check_outputs,
+    lock_folder,
+    option,
+    outlet_of,
+    split_of,
+    units_of,
+)
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
 
@@ -91,6 +98,7 @@ def predict(
         "enough). An ensemble always gives standard deviations.",
         min=0,
     ),
+    outlet: Path | None = options.OUTLET,
     units: str | None = options.UNITS,
     period: float | None = option(None, "Cycle length, s; a time point at its end is left out."),
     interpolate: bool = option(False, "Resample to equal time steps and to the model's grid."),
@@ -136,6 +144,7 @@ def predict(
     )
     inputs = given.inflow, given.area_undeformed
     settings: dict[str, Any] = {"units": units_of(units), "samples": samples, **given.where}
+    settings["outlet"] = outlet_of(outlet)
     tables: list[pd.DataFrame] = []
 
     def named(prediction: Prediction) -> Prediction:

@@ -14,6 +14,7 @@ from pcnde_bridge.cli.options import (
     check_outputs,
     lock_folder,
     option,
+    outlet_of,
     settings_of,
     split_name,
     split_of,
@@ -41,6 +42,7 @@ def fit(
     config: Path | None = options.CONFIG,
     engine: EngineName = options.ENGINE,
     seed: int = options.SEED,
+    outlet: Path | None = options.OUTLET,
     checkpoint: Path | None = _CHECKPOINT,
     members: int = option(1, "Number of models; more than 1 is an ensemble.", min=1),
     workers: int = options.WORKERS,
@@ -57,6 +59,9 @@ def fit(
 
     settings = settings_of(preset, config)
     check_outputs(out, checkpoint, size=members * _MODEL_SIZE, inputs=[Path(data)])
+    given = outlet_of(outlet)
+    if given is not None and (members > 1 or not given.is_common):
+        raise InputError("--outlet takes one outlet for all cases, and no --members.")
     if members > 1 and checkpoint is not None:
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
@@ -66,7 +71,7 @@ def fit(
     model: PCNDE | Ensemble
     if members == 1:
         with _training_state(checkpoint, out.with_name(out.name + ".checkpoint")) as state:
-            model = PCNDE.fit(*run, state)
+            model = PCNDE.fit(*run, state, outlet=given)
             model.save(out)
     else:
         folder = out.with_name(out.name + ".fits")  # until the ensemble is written

@@ -1,7 +1,8 @@
 """Trained parameters of the closures.
 
 ========================  ============================================================
-``outlet``                R₁, R₂ (dyn·s/cm⁵), C (cm⁵/dyn), p_d (dyn/cm²)
+``outlet``                R₁, R₂ (dyn·s/cm⁵), C (cm⁵/dyn), p_d (dyn/cm²); without effect
+                          where another outlet is given
 ``losses``                c_f, c_i, c_c, c_g, β, c_j, c_s, s, s_ν, λ: see
                           :mod:`pcnde_bridge.engines.jax.closures.pressure_losses`
 ``wall_shear_stress``     c₀ to c₈: see
@@ -19,10 +20,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge.config import ClosureConfig
+from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.parameters import ParameterVectors, network_size
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.outlet import Outlet, windkessel_response
 
 CLOSURES = ("outlet", "losses", "wall", "wall_shear_stress", "correction")
 """Names of the closures, in the order in which they are fitted."""
@@ -88,6 +92,29 @@ class ClosureParameters(ParameterVectors):
     def has_pressure(self) -> bool:
         """Whether the model predicts the pressure: always."""
         return True
+
+    def outlet_response(self, grid: Grid) -> ComplexArray:
+        """Return the response of the trained outlet, (1, 2, harmonic)."""
+        return np.asarray(windkessel_response(self.outlet, grid.time.size, grid.period))[None]
+
+    def respond(self, outlet: Outlet, inputs: ModelInputs, config: ClosureConfig) -> ComplexArray:
+        """Return the response of an outlet of these cases, (case, 2, harmonic).
+
+        A reflection refers to the wall at the vessel's end; a membrane is not clamped there.
+
+        Raises
+        ------
+        InputError
+            If the outlet is not usable.
+        """
+        first, last = (np.sqrt(inputs.area_undeformed[:, end] / np.pi) for end in (0, -1))
+        if config.wall.law == "membrane":
+            softness = last / self.wall[0]
+        else:
+            softness = (last / first) ** self.wall[1] / self.wall[0]
+        # ρ·c/S = √(ρ/(S·dS/dp)) with dS/dp = 2·S·softness.
+        impedance = np.sqrt(config.physics.density / (2.0 * softness)) / (np.pi * last**2)
+        return outlet.response(len(last), inputs.grid.time, inputs.grid.period, impedance)
 
     def check(self, config: ClosureConfig) -> None:
         """Raise if a vector does not fit the configuration, or is not finite.

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config import ClosureConfig, PCNDEConfig
 from pcnde_bridge.data.grid import Grid
@@ -160,6 +160,7 @@ class Closures(ABC):
         inputs: ModelInputs,
         points: npt.NDArray[np.int64],
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Problem:
         """Prepare the flow of all coupled closures.
 
@@ -169,6 +170,9 @@ class Closures(ABC):
             Parameters of outlet, losses and wall; its correction is ignored.
         points : array of int of shape (point,)
             Indices into z.
+        outlet : array of shape (case, 2, harmonic), optional
+            Result of :meth:`~pcnde_bridge.hemodynamics.outlet.Outlet.response`; by default that
+            of the parameters.
 
         Returns
         -------
@@ -212,6 +216,7 @@ class Closures(ABC):
         shift: Array,
         inputs: ModelInputs,
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Solution:
         """Predict flow, area, pressure and the magnitude of the wall shear stress.
 
@@ -219,6 +224,8 @@ class Closures(ABC):
         ----------
         shift : array of shape (case,)
             Added to the correction's logit: 0, or a sample of the case-to-case variation.
+        outlet : array of shape (case, 2, harmonic), optional
+            See :meth:`flow`.
 
         Raises
         ------

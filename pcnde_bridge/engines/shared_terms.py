@@ -96,19 +96,6 @@ def step_profile(z: Any, config: PCNDEConfig, xp: Any = np) -> tuple[Any, Any]:
     return xp.full(z.shape, 0.5), distance
 
 
-def outlet_impedance(proximal: Any, distal: Any, compliance: Any, omega: Any) -> Any:
-    """Return 𝒵(ω) = R₁ + R₂/(1 + iωR₂C) of a Windkessel, dyn·s/cm⁵.
-
-    Parameters
-    ----------
-    proximal, distal, compliance : float
-        R₁ and R₂, dyn·s/cm⁵, and C, cm⁵/dyn.
-    omega : array of shape (harmonic,)
-        ω, rad/s.
-    """
-    return proximal + distal / (1 + 1j * omega * distal * compliance)
-
-
 def harmonic_frequencies(n_times: int, period: Any, xp: Any = np) -> Any:
     """Return ω of the harmonics of a real periodic signal, rad/s, (n_times // 2 + 1,)."""
     return 2 * xp.pi * xp.arange(n_times // 2 + 1) / period

@@ -22,7 +22,7 @@ from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.outlet import Outlet
+from pcnde_bridge.hemodynamics.outlet import Outlet, check_outlet
 from pcnde_bridge.hemodynamics.settings import TubeSettings
 from pcnde_bridge.hemodynamics.waveform import Waveform
 
@@ -207,8 +207,7 @@ def discretize(
         )
     if inlet not in get_args(Inlet):
         raise InputError(f"inlet must be 'flow' or 'pressure', got {inlet!r}.")
-    if not isinstance(outlet, Outlet):
-        raise InputError(f"outlet must be an outlet such as Windkessel(R), got {outlet!r}.")
+    check_outlet(outlet)
     period = waveforms[0].period
     wall = _wall_parameters(tube, area)
     pressure, speed = _check_initial_pressure(tube, area, initial_pressure)

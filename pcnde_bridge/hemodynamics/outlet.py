@@ -9,13 +9,13 @@ where E is diagonal.  A state of E = 0 has no capacitance.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge._utils.validation import all_of, finite_array
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.errors import InputError
@@ -74,6 +74,27 @@ class Outlet(ABC):
         total = circuit.resistance[:, 0] - np.einsum("cj,cj->c", inverse[:, 0], drive)
         times = np.abs(np.linalg.eigvals(inverse * storage[:, None])).max(axis=1)
         return np.asarray(total), np.asarray(times)
+
+    @property
+    def is_common(self) -> bool:
+        """Whether all cases have the same values."""
+        values = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
+        return all(np.size(value) == 1 for value in values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the name of the class and all fields as numbers, lists and mappings."""
+        found = asdict(self)  # type: ignore[call-overload]
+        arrays = {k: np.asarray(v).tolist() for k, v in found.items() if not isinstance(v, dict)}
+        return {"kind": type(self).__name__, **found, **arrays}
+
+    def response(self, n_cases: int, time: Array, period: float, impedance: Array) -> ComplexArray:
+        """Return 𝒵 and p₀ of p = 𝒵·Q + p₀ in a periodic cycle, (case, 2, harmonic).
+
+        The arguments are those of :meth:`values`; the time points, equally spaced, are those of
+        the cycle.  The harmonics of p₀, dyn/cm², are those of :func:`numpy.fft.rfft`.
+        """
+        values = self.values(n_cases, time, period, impedance)
+        return periodic_response(self.circuit(values), len(time), period)
 
     def values(self, n_cases: int, time: Array, period: float, impedance: Array) -> dict[str, Any]:
         """Check the fields and return them for all cases.
@@ -242,11 +263,82 @@ class Reflection(Outlet):
         factor = _for_cases("coefficient", self.coefficient, n_cases, -1.0)
         if not (np.abs(factor) < 1.0).all():
             raise InputError(f"outlet.coefficient must be in (−1, 1), got {factor.max():g}.")
+        if not np.isfinite(impedance).all():
+            raise InputError("A Reflection needs the vessel's end; give another outlet.")
         resistance = impedance * (1.0 + factor) / (1.0 - factor)
         same = Windkessel(resistance, distal_pressure=self.distal_pressure)
         return same.values(n_cases, time, period, impedance)
 
     circuit = staticmethod(Windkessel.circuit)
+
+
+def check_outlet(outlet: object) -> None:
+    """Raise InputError unless the argument is an outlet."""
+    if not isinstance(outlet, Outlet):
+        raise InputError(f"outlet must be an outlet such as Windkessel(R), got {outlet!r}.")
+
+
+def outlet_from(values: object) -> Outlet:
+    """Return the outlet that :meth:`Outlet.to_dict` describes.
+
+    Raises
+    ------
+    InputError
+        If there is no such outlet, or a field is unknown or missing.
+    """
+    kinds = {kind.__name__: kind for kind in Outlet.__subclasses__()}
+    if not isinstance(values, dict) or values.get("kind") not in kinds:
+        raise InputError(f"An outlet needs a kind, one of {list(kinds)}, got {values!r:.80}.")
+
+    def restored(value: Any) -> Any:
+        several = isinstance(value, list) and any(isinstance(each, dict) for each in value)
+        if several:
+            return tuple(map(restored, value))
+        return Waveform(**value) if isinstance(value, dict) else value
+
+    try:
+        return kinds[values["kind"]](
+            **{name: restored(value) for name, value in values.items() if name != "kind"}
+        )
+    except TypeError as error:
+        raise InputError(f"The outlet {values['kind']} is not usable: {error}.") from error
+
+
+def periodic_response(circuit: Circuit, n_times: int, period: Any, xp: Any = np) -> Any:
+    """Return 𝒵 and p₀ of p = 𝒵·Q + p₀ in a periodic cycle, (case, 2, harmonic).
+
+    Parameters
+    ----------
+    circuit : Circuit
+        Circuit, with sources at the equally spaced time points of a cycle.
+    n_times : int
+        Number of time points.
+    period : float
+        Length of the cycle, s.
+    xp : module
+        ``numpy`` or ``jax.numpy``.
+    """
+    n_cases, states = len(circuit.resistance), range(len(circuit.storage))
+    i_omega = 2j * xp.pi * xp.arange(n_times // 2 + 1) / period
+    shape = n_cases, i_omega.size
+    matrix = [
+        xp.broadcast_to(i_omega * circuit.storage[j] * (j == k) - circuit.exchange[j][k], shape)
+        for j in states
+        for k in states
+    ]
+    matrix = xp.stack(matrix, axis=-1).reshape(*shape, len(states), len(states))
+    source = [xp.fft.rfft(xp.broadcast_to(f, (n_cases, n_times))) for f in circuit.source]
+    drive = [xp.broadcast_to(b + 0.0 * i_omega, shape) for b in circuit.drive]
+    right = xp.stack([xp.stack(drive, axis=-1), xp.stack(source, axis=-1)], axis=-1)
+    found = xp.moveaxis(xp.linalg.solve(matrix, right)[..., 0, :], -1, 1)
+    return found + xp.stack([circuit.resistance, xp.zeros_like(circuit.resistance)], axis=1)
+
+
+def windkessel_response(values: Any, n_times: int, period: Any, xp: Any = np) -> Any:
+    """Return :func:`periodic_response` (2, harmonic) of R, R_d, C and p_d of a Windkessel."""
+    names = (field.name for field in fields(Windkessel))
+    shaped = {name: xp.reshape(v, (1, 1)) for name, v in zip(names, values, strict=True)}
+    return periodic_response(Windkessel.circuit(shaped), n_times, period, xp)[0]
 
 
 def _for_cases(name: str, value: Any, n_cases: int, least: float) -> Array:

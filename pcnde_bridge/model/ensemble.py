@@ -29,6 +29,7 @@ from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.model.fit_task import FitTask, common_facts, fit_model, model_of, same_everywhere
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.pcnde import PCNDE
@@ -177,6 +178,9 @@ class Ensemble(Predictor):
     def has_pressure(self) -> bool:
         """Whether the members predict the pressure."""
         return self.members[0].has_pressure
+
+    def _with_outlet(self, inputs: Inputs, outlet: Outlet | None = None) -> Inputs:
+        return self.members[0]._with_outlet(inputs, outlet)
 
     def _solve(self, inputs: Inputs) -> Prediction:
         """Average the members' predictions; spread them to the calibrated standard deviation."""

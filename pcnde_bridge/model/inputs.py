@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from pcnde_bridge._typing import AnyArray, Array
+from pcnde_bridge._typing import AnyArray, Array, ComplexArray
 from pcnde_bridge._utils.validation import (
     all_of,
     check_finite,
@@ -53,6 +53,8 @@ class Inputs:
         Distance from the training data; 1 is their edge.
     random : RandomNumbers or None
         Random numbers of the samples; None for no samples.
+    outlet : array of shape (case, 2, harmonic) or None
+        Response of an outlet; None for the trained one.
     """
 
     inflow: Array
@@ -61,6 +63,7 @@ class Inputs:
     labels: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
     novelty: Array | None = None
     random: RandomNumbers | None = None
+    outlet: ComplexArray | None = None
 
     @classmethod
     def from_cases(cls, cases: Cases) -> Inputs:
@@ -80,6 +83,7 @@ class Inputs:
             labels=self.labels.iloc[rows].reset_index(drop=True),
             novelty=None if self.novelty is None else self.novelty[rows],
             random=None if self.random is None else self.random.select(rows),
+            outlet=None if self.outlet is None else self.outlet[rows],
         )
 
 

@@ -19,6 +19,7 @@ from pcnde_bridge.engines.parameters import Parameters
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.errors import InputError, SolveError
+from pcnde_bridge.hemodynamics.outlet import check_outlet
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.procedure import Procedure
@@ -61,6 +62,14 @@ class Kind:
             check_resolution(other.time.size, other.z.size)
         else:
             check_grid(trained, other, where)
+
+    def check_outlet(self, outlet: object) -> None:
+        """Raise InputError unless the argument is an outlet and models of the kind take one."""
+        check_outlet(outlet)
+        if self.parameters is not ClosureParameters:
+            raise InputError(
+                "The networks of this model learn the outlet: only the preset 'physics' takes one."
+            )
 
     def check(
         self, config: Config, parameters: Any, grid: Grid, uncertainty: Uncertainty | None
@@ -108,12 +117,12 @@ def _predict_staged(
 def _predict_closures(
     engine: Engine, config: Any, parameters: Any, inputs: Inputs, spread: Uncertainty | None = None
 ) -> tuple[Solution, Samples | None]:
-    given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)
-    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), given, config)
+    given, outlet = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid), inputs.outlet
+    mean = engine.closures.predict(parameters, np.zeros(len(inputs)), given, config, outlet)
     if spread is None or inputs.random is None:
         return mean, None
     model = SampledModel(engine.closures, parameters, config)
-    return mean, sample(model, spread, mean, given, inputs.random)
+    return mean, sample(model, spread, mean, given, inputs.random, outlet)
 
 
 _STAGED = Kind(False, Parameters, staged_training, _predict_staged)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -25,9 +25,11 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.published import DT, DZ, PERIOD, SHAPE
 from pcnde_bridge.engines import EngineChoice, select_engine
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Engine
-from pcnde_bridge.engines.types import Solution
+from pcnde_bridge.engines.types import ModelInputs, Solution
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.outlet import Outlet, outlet_from
 from pcnde_bridge.model.inputs import Inputs, check_cases
 from pcnde_bridge.model.kinds import AnyParameters, kind_of
 from pcnde_bridge.model.prediction import Prediction
@@ -66,6 +68,8 @@ class PCNDE(Predictor):
         Source of the samples of a prediction; only the preset ``physics`` has it.
     novelty : Novelty or None
         Measure of the distance from the training data.
+    outlet : Outlet or None
+        Outlet that was given for the fit; None if it was fitted, and for other presets.
     """
 
     file_format = "pcnde-model", 1, "model"
@@ -78,6 +82,7 @@ class PCNDE(Predictor):
     iterations: tuple[Iteration, ...] = ()
     uncertainty: Uncertainty | None = None
     novelty: Novelty | None = None
+    outlet: Outlet | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.config, Config) and isinstance(self.grid, Grid)):
@@ -94,6 +99,7 @@ class PCNDE(Predictor):
         seed: int = 0,
         checkpoint: StrPath | None = None,
         progress: bool | Callable[[Iteration], None] = True,
+        outlet: Outlet | None = None,
     ) -> PCNDE:
         """Train on averaged 3D simulations, as in section 2.4 of the paper.
 
@@ -118,6 +124,10 @@ class PCNDE(Predictor):
         progress : bool or callable
             Whether to show progress; or a function that is called with every
             :class:`~pcnde_bridge.training.history.Iteration`.
+        outlet : Outlet, optional
+            Outlet of the cases, such as :class:`~pcnde_bridge.hemodynamics.Windkessel`, with
+            one value or one for each case (preset ``physics``).  By default a resistance or a
+            Windkessel is fitted.
 
         Returns
         -------
@@ -147,12 +157,16 @@ class PCNDE(Predictor):
         seed = whole("seed", seed)
         settings = resolve_config(config)
         engine = select_engine(engine)
-        procedure = kind_of(settings).procedure(cases, settings, engine)
+        kind = kind_of(settings)
+        procedure = kind.procedure(cases, settings, engine)
+        if outlet is not None:
+            kind.check_outlet(outlet)
+            procedure.outlet = outlet
         state = Trainer(procedure, checkpoint).fit(seed, progress)
         facts = provenance(cases, engine, seed) | state.facts
         novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.grid, procedure.left_out)
         fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history
-        return cls(*fitted, state.uncertainty, novelty)
+        return cls(*fitted, state.uncertainty, novelty, outlet)
 
     @classmethod
     def from_published_weights(
@@ -216,7 +230,9 @@ class PCNDE(Predictor):
             mL/s, and S_u (z,), cm², give flow, area, pressure and wall shear stress, each
             (time, z), in the units of :class:`~pcnde_bridge.engines.types.Solution`.
         parameters : dict of str to array
-            Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`.
+            Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`;
+            ``outlet`` may also be the response (2, harmonic) of an outlet,
+            :meth:`Outlet.response <pcnde_bridge.hemodynamics.outlet.Outlet.response>`.
 
         Raises
         ------
@@ -237,7 +253,25 @@ class PCNDE(Predictor):
 
             return solve_one(parameters, inflow, area_undeformed, used, settings)
 
-        return function, dict(self.parameters)
+        vectors = dict(self.parameters)
+        if self.outlet is not None:
+            # The end of the vessel, on which a reflection depends, is not known here.
+            unknown = np.full(1, np.nan)
+            vectors["outlet"] = self.outlet.response(1, used.time, used.period, unknown)[0]
+        return function, vectors
+
+    def _with_outlet(self, inputs: Inputs, outlet: Outlet | None = None) -> Inputs:
+        chosen, parameters = self.outlet if outlet is None else outlet, self.parameters
+        if chosen is None:
+            return inputs
+        kind_of(self.config).check_outlet(chosen)
+        if outlet is None and not chosen.is_common:
+            raise InputError(
+                "Each training case has its own outlet: give outlet= for a prediction."
+            )
+        assert isinstance(parameters, ClosureParameters) and isinstance(self.config, ClosureConfig)
+        given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)
+        return replace(inputs, outlet=parameters.respond(chosen, given, self.config))
 
     def _solve(self, inputs: Inputs) -> Prediction:
         model = self.engine, self.config, self.parameters
@@ -254,6 +288,7 @@ class PCNDE(Predictor):
     def to_archive(self) -> tuple[dict[str, Any], Arrays]:
         """Return the content of the model's file: facts for JSON, and arrays."""
         facts = {"config": self.config.to_dict(), "provenance": dict(self.provenance)}
+        facts |= {} if self.outlet is None else {"outlet": self.outlet.to_dict()}
         arrays = {"time": self.grid.time, "z": self.grid.z, "period": np.array(self.grid.period)}
         arrays |= {**histories.to_arrays(self.iterations), **dict(self.parameters)}
         for prefix, part in (("uncertainty_", self.uncertainty), ("novelty_", self.novelty)):
@@ -274,6 +309,7 @@ class PCNDE(Predictor):
             histories.from_arrays(arrays),
             Uncertainty(**spread) if spread else None,
             Novelty.from_arrays(known) if known else None,
+            outlet_from(facts["outlet"]) if "outlet" in facts else None,
         )
 
     def _facts(self) -> list[str]:

@@ -24,6 +24,7 @@ from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError, PCNDEWarning, SolveError
 from pcnde_bridge.hemodynamics.geometry import Vessel
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.model.inputs import Inputs, check_cases, check_plausible, inputs_from_arrays
 from pcnde_bridge.model.kinds import kind_of
@@ -75,6 +76,10 @@ class Predictor(Displayed, ABC):
         return kind_of(self.config).any_grid
 
     @abstractmethod
+    def _with_outlet(self, inputs: Inputs, outlet: Outlet | None = None) -> Inputs:
+        """Add the response of an outlet, or of the one given for the fit, to the inputs."""
+
+    @abstractmethod
     def _solve(self, inputs: Inputs) -> Prediction:
         """Predict from checked inputs."""
 
@@ -85,6 +90,7 @@ class Predictor(Displayed, ABC):
         *,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        outlet: Outlet | None = None,
         units: str | Mapping[str, str] | None = None,
         samples: int = 0,
         seed: int = 0,
@@ -107,6 +113,10 @@ class Predictor(Displayed, ABC):
             Axial positions, cm, if they differ from the model's (preset ``physics``).
         period : float, optional
             Period, s, if it differs from the model's (preset ``physics``).
+        outlet : Outlet, optional
+            Outlet of the vessel, such as :class:`~pcnde_bridge.hemodynamics.Windkessel`, with
+            one value or one for each case (preset ``physics``); by default that of the
+            training.  Pressures over time have the period of the inflow.
         units : str or mapping, optional
             ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
             ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
@@ -141,7 +151,7 @@ class Predictor(Displayed, ABC):
             If the equations diverge for an input.
         """
         given = inflow, area_undeformed, z, period, units
-        return self._solve(self._prepare(None, samples, seed, *given))
+        return self._solve(self._prepare(None, samples, seed, outlet, *given))
 
     def predict_batches(
         self,
@@ -151,6 +161,7 @@ class Predictor(Displayed, ABC):
         batch: int | None = None,
         z: npt.ArrayLike | None = None,
         period: float | None = None,
+        outlet: Outlet | None = None,
         units: str | Mapping[str, str] | None = None,
         samples: int = 0,
         seed: int = 0,
@@ -163,7 +174,7 @@ class Predictor(Displayed, ABC):
 
         Parameters
         ----------
-        inflow, area_undeformed, z, period, units, samples, seed
+        inflow, area_undeformed, z, period, outlet, units, samples, seed
             See :meth:`predict`; the samples are the same.
         batch : int, optional
             Number of cases in each prediction; the last may have fewer.  By default 256, and
@@ -195,7 +206,7 @@ class Predictor(Displayed, ABC):
         """
         size = self._batch if batch is None else whole("batch", batch, 1)
         given = inflow, area_undeformed, z, period, units
-        return self._each_batch(self._prepare(size, samples, seed, *given), size)
+        return self._each_batch(self._prepare(size, samples, seed, outlet, *given), size)
 
     def _each_batch(self, inputs: Inputs, size: int) -> Iterator[Prediction]:
         for start in range(0, len(inputs), size):
@@ -204,7 +215,9 @@ class Predictor(Displayed, ABC):
             except SolveError as error:
                 raise SolveError(f"In the batch that starts at case {start}: {error}") from error
 
-    def _prepare(self, batch: int | None, samples: int, seed: int, *given: Any) -> Inputs:
+    def _prepare(
+        self, batch: int | None, samples: int, seed: int, outlet: Outlet | None, *given: Any
+    ) -> Inputs:
         """Check the inputs, score their distance from the training data, generate random numbers.
 
         At most ``batch`` cases are predicted at once, None for all.  ``given`` are inflow,
@@ -219,6 +232,7 @@ class Predictor(Displayed, ABC):
             inputs = Inputs.from_cases(inflow)
         else:
             inputs = inputs_from_arrays(self.grid, self.any_grid, *given)
+        inputs = self._with_outlet(inputs, outlet)
         samples, at_once = whole("samples", samples), min(batch or len(inputs), len(inputs))
         fields = len(FIELDS) * at_once * inputs.grid.time.size * inputs.grid.z.size
         numbers = (self._copies + samples) * fields + 8 * samples * len(inputs)
@@ -312,7 +326,7 @@ class Predictor(Displayed, ABC):
             scores |= self.novelty.score_shapes(inflow, area_undeformed, grid.z)
         return scores
 
-    def evaluate(self, cases: Cases) -> pd.DataFrame:
+    def evaluate(self, cases: Cases, outlet: Outlet | None = None) -> pd.DataFrame:
         """Return relative errors of the prediction of cases, ‖Y − Y_GT‖ / ‖Y_GT‖.
 
         The area is compared without the first and last five points.
@@ -321,6 +335,8 @@ class Predictor(Displayed, ABC):
         ----------
         cases : Cases
             Inputs and reference values.
+        outlet : Outlet, optional
+            See :meth:`predict`.
 
         Returns
         -------
@@ -337,7 +353,7 @@ class Predictor(Displayed, ABC):
             If the model does not predict on the grid of the cases.
         """
         check_cases("The reference of an evaluation", cases)
-        return error_table(predict(self, cases).variables(), cases)
+        return error_table(predict(self, cases, outlet).variables(), cases)
 
     def save(self, path: StrPath) -> None:
         """Write the model or ensemble into one file, atomically and without pickle.
@@ -396,7 +412,7 @@ class Predictor(Displayed, ABC):
         """Create a model or ensemble; raise any error if a part is missing or does not fit."""
 
 
-def predict(model: Predictor, cases: Cases) -> Prediction:
+def predict(model: Predictor, cases: Cases, outlet: Outlet | None = None) -> Prediction:
     """Predict cases without a warning of extrapolation, which their errors will show."""
     model.check_grid(cases)
-    return model._solve(Inputs.from_cases(cases))
+    return model._solve(model._with_outlet(Inputs.from_cases(cases), outlet))

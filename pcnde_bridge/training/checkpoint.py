@@ -4,7 +4,7 @@ import logging
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Generic
+from typing import Any, Generic
 
 from pcnde_bridge._typing import StrPath
 from pcnde_bridge._utils.archive import interpreting, read_archive, write_archive
@@ -101,9 +101,11 @@ class Checkpoint(Generic[State]):
         with interpreting(path, what):
             cases, config = facts["cases"], config_from(facts["config"])
             its_seed, engine = facts["seed"], provenance_from(facts["provenance"])["engine"]
+            outlet = facts.get("outlet")
         for differs, difference in (
             (cases != run.cases.fingerprint(), "on other cases. Give the same cases"),
             (config != run.config, "with another configuration. Give the same one"),
+            (outlet != _outlet(run), "with another outlet. Give the same one"),
             (its_seed != seed, f"with seed {its_seed}, not {seed}. Give that seed"),
         ):
             if differs:
@@ -138,8 +140,13 @@ class Checkpoint(Generic[State]):
             "seed": state.seed,
             "config": run.config.to_dict(),
             "cases": run.cases.fingerprint(),
+            "outlet": _outlet(run),
             "provenance": provenance(run.cases, run.engine, state.seed),
             "steps": len(run.steps(state)),
         }
         arrays |= histories.to_arrays(state.history)
         write_archive(self.path, *run.checkpoint_format, facts, arrays)
+
+
+def _outlet(run: Procedure[State]) -> dict[str, Any] | None:
+    return None if run.outlet is None else run.outlet.to_dict()

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
@@ -25,9 +25,10 @@ from pcnde_bridge.engines.closure_parameters import (
     sizes,
 )
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.shared_terms import harmonic_frequencies, outlet_impedance, rate
+from pcnde_bridge.engines.shared_terms import rate
 from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.hemodynamics.outlet import windkessel_response
 
 _BLOCK = 64
 """Largest number of cases whose values and Jacobian are in memory at once."""
@@ -126,7 +127,6 @@ def _fit_windkessel(
 
     n_times = flow.shape[1]
     harmonics = np.fft.rfft(flow, axis=1)
-    omega = harmonic_frequencies(n_times, period)
     scale = float(np.std(pressure)) or 1.0
 
     def numbers(x: Array) -> Array:
@@ -135,9 +135,8 @@ def _fit_windkessel(
         return np.array([share * factor * total, r2, time_constant / r2, offset * scale])
 
     def residual(x: Array) -> Array:
-        r1, r2, compliance, offset = numbers(x)
-        impedance = outlet_impedance(r1, r2, compliance, omega)
-        predicted = np.fft.irfft(harmonics * impedance, n=n_times, axis=1) + offset
+        impedance, distal = windkessel_response(numbers(x), n_times, period)
+        predicted = np.fft.irfft(harmonics * impedance + distal, n=n_times, axis=1)
         return ((predicted - pressure) / scale).ravel()
 
     # A regression over all time points does not give R₁ + R₂; a given number stays (almost).
@@ -319,6 +318,7 @@ def fit_correction(
     first: Array,
     weight: Array,
     evaluations: int,
+    outlet: ComplexArray | None = None,
     on_iteration: OnIteration | None = None,
 ) -> Fit:
     """Fit κ and the network to the flow, with all closures coupled.
@@ -338,6 +338,8 @@ def fit_correction(
         compiled once.
     evaluations : int
         Largest number of evaluations.
+    outlet : array of shape (case, 2, harmonic), optional
+        Outlet of all cases, see :meth:`~pcnde_bridge.engines.protocol.Closures.flow`.
     on_iteration : callable, optional
         Called with the number and loss of each evaluation that decreases the loss.
     """
@@ -348,7 +350,8 @@ def fit_correction(
 
     def residual_of(part: Cases, rows: slice) -> Problem:
         inputs = ModelInputs(part.inflow, part.area_undeformed, part.grid)
-        problem = closures.flow(others, inputs, points, config)
+        at_end = None if outlet is None else outlet[rows]
+        problem = closures.flow(others, inputs, points, config, at_end)
 
         def residual(x: Array) -> tuple[Array, Array]:
             value, jacobian = problem(x)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pcnde_bridge._typing import AnyArray, Array
+from pcnde_bridge._typing import AnyArray, Array, ComplexArray
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import check_resolution
@@ -21,6 +21,7 @@ from pcnde_bridge.engines.closure_parameters import (
 )
 from pcnde_bridge.engines.internal_points import POINTS_PER_RADIUS
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit
 from pcnde_bridge.training.history import Recorder
@@ -117,7 +118,9 @@ class ClosureTraining(Procedure[ClosureState]):
         cases, config, closures = self.cases, self.config, self.engine.closures
         name, weight = step.task, np.ones(len(cases))
         if name == "outlet":
-            return _with(state, name, closure_fit.fit_outlet(cases, config))
+            fitted = self.outlet is None
+            vector = closure_fit.fit_outlet(cases, config) if fitted else np.zeros(4)
+            return _with(state, name, vector)
         if name == "wall_shear_stress":
             return _with(state, name, self._wall_shear_stress(state.parameters, np.empty(0, int)))
         member = step.epoch - 2
@@ -140,7 +143,7 @@ class ClosureTraining(Procedure[ClosureState]):
             others = others.replace(losses=state.vectors[f"losses_{member}"])
             shear = self._wall_shear_stress(others, self.left_out[member])
             others = others.replace(wall_shear_stress=shear)
-        given = others, cases, config, first, weight, evaluations
+        given = others, cases, config, first, weight, evaluations, self._response(others)
         optimize = partial(closure_fit.fit_correction, closures, *given)
         correction = recorder.run("correction", step.epoch, 1, optimize)
         if member < 0:
@@ -154,8 +157,17 @@ class ClosureTraining(Procedure[ClosureState]):
         members = [state.vectors[f"member_{k}"] for k in range(len(self.left_out))]
         model = SampledModel(self.engine.closures, state.parameters, self.config)
         tested = [some_of(fold, _TESTED) for fold in self.left_out]
-        uncertainty = calibrate(model, members, tested, self.cases)
+        outlet = self._response(state.parameters)
+        uncertainty = calibrate(model, members, tested, self.cases, outlet)
         return replace(state, uncertainty=uncertainty)
+
+    def _response(self, parameters: ClosureParameters) -> ComplexArray | None:
+        """Return the response of a given outlet, (case, 2, harmonic)."""
+        if self.outlet is None:
+            return None
+        cases = self.cases
+        inputs = ModelInputs(cases.inflow, cases.area_undeformed, cases.grid)
+        return parameters.respond(self.outlet, inputs, self.config)
 
     def _wall_shear_stress(self, others: ClosureParameters, left_out: Positions) -> Array:
         given = others, self.cases, self.config

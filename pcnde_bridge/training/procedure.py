@@ -10,6 +10,7 @@ from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.training.history import Iteration, Recorder
 from pcnde_bridge.uncertainty.sampling import Uncertainty
 
@@ -75,6 +76,8 @@ class Procedure(ABC, Generic[State]):
         Kind and version of the checkpoint file, if the procedure can be resumed.
     cases, config, engine
         Training cases, settings and compute engine.
+    outlet : Outlet or None
+        Outlet of the cases if it is given, not trained.
     left_out : sequence of arrays of int
         Positions of the cases that the fits for the uncertainty leave out, one after the other.
     """
@@ -83,6 +86,7 @@ class Procedure(ABC, Generic[State]):
     cases: Cases
     config: Config
     engine: Engine
+    outlet: Outlet | None = None
     left_out: Sequence[Positions] = ()
 
     @abstractmethod

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._typing import Array, ComplexArray, IntArray
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
@@ -171,12 +171,15 @@ class SampledModel(NamedTuple):
     parameters: ClosureParameters
     config: ClosureConfig
 
-    def predict(self, member: Array, shift: Array, inputs: ModelInputs) -> dict[str, Array]:
+    def predict(
+        self, member: Array, shift: Array, inputs: ModelInputs, outlet: ComplexArray | None = None
+    ) -> dict[str, Array]:
         """Predict all variables (sample, case, time, z) with shifts (sample, case)."""
         parameters, (inflow, area, grid) = self.parameters.with_member(member), inputs
         times = len(shift), 1
         repeated = ModelInputs(np.tile(inflow, times), np.tile(area, times), grid)
-        found = self.closures.predict(parameters, shift.ravel(), repeated, self.config)
+        at_end = None if outlet is None else np.tile(outlet, (*times, 1))
+        found = self.closures.predict(parameters, shift.ravel(), repeated, self.config, at_end)
         shape = *shift.shape, grid.time.size, grid.z.size
         return {name: getattr(found, name).reshape(shape) for name in FIELDS}
 
@@ -186,6 +189,7 @@ def calibrate(
     members: Sequence[Array],
     left_out: Sequence[Positions],
     cases: Cases,
+    outlet: ComplexArray | None = None,
 ) -> Uncertainty:
     """Find profile, shift and scale on the cases that each member's fit left out.
 
@@ -201,6 +205,8 @@ def calibrate(
         Positions of the cases that each of these fits left out.
     cases : Cases
         Training cases.
+    outlet : array of shape (case, 2, harmonic), optional
+        Outlet of all cases, see :meth:`~pcnde_bridge.engines.protocol.Closures.flow`.
     """
     reference = amplitude(cases.inflow)
     errors: list[Array] = []
@@ -210,7 +216,8 @@ def calibrate(
     for member, fold in zip(members, left_out, strict=True):
         truth = cases.select(fold)
         inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
-        plain = model.predict(member, np.zeros((1, len(truth))), inputs)
+        at_end = None if outlet is None else outlet[fold]
+        plain = model.predict(member, np.zeros((1, len(truth))), inputs, at_end)
         errors.append(np.abs([plain[name][0] - getattr(truth, name) for name in VARIABLES]))
         scales = _loss_scales(plain["pressure"][0], inputs, model.config)
         ends = truth.z, *measuring_positions(truth.z, truth.area_undeformed)
@@ -225,7 +232,7 @@ def calibrate(
         spreads.append([np.zeros_like(errors[-1])])
         for shift in _SHIFTS[1:]:
             shifts = np.tile(shift * _NODES[:, None], len(truth))
-            samples = model.predict(member, shifts, inputs)
+            samples = model.predict(member, shifts, inputs, at_end)
             spreads[-1].append(np.stack([_normal_spread(samples[name]) for name in VARIABLES]))
     error = np.concatenate(errors, axis=1)
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
@@ -293,6 +300,7 @@ def sample(
     mean: Solution,
     inputs: ModelInputs,
     numbers: RandomNumbers,
+    outlet: ComplexArray | None = None,
 ) -> dict[str, Array]:
     """Compute samples of predictions.
 
@@ -308,6 +316,8 @@ def sample(
         Inflow, vessels and grid.
     numbers : RandomNumbers
         Random numbers of all samples.
+    outlet : array of shape (case, 2, harmonic), optional
+        See :func:`calibrate`.
 
     Returns
     -------
@@ -329,7 +339,7 @@ def sample(
         # Repeated up to the same number for each member, so that one shape is compiled.
         rows = np.resize(rows, largest)
         try:
-            samples = model.predict(member, numbers.shift[rows], inputs)
+            samples = model.predict(member, numbers.shift[rows], inputs, outlet)
         except SolveError as error:
             raise SolveError(
                 "The prediction has been computed, but not all of its samples. Of these, each "

@@ -24,6 +24,7 @@ from pcnde_bridge.engines.jax.engine import JaxEngine
 from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.hemodynamics import CoronaryOutlet, Waveform
 
 pytestmark = [
     pytest.mark.julia,
@@ -31,6 +32,13 @@ pytestmark = [
 
 LOCAL = CONFIG.replace(wall={"law": "local"})
 WINDKESSEL = CORRECTED.replace(outlet=np.array([2e4, 8e4, 1e-6, 5e3]))
+OWN = CoronaryOutlet(
+    3e4, np.linspace(4e4, 8e4, 16), 2e4, 4e-7, 3e-6, Waveform(2e4, (-1e4,), (5e3,)), 5e3
+)
+
+
+def responses(outlet):
+    return None if outlet is None else outlet.response(16, GRID.time, GRID.period, np.ones(16))
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +105,12 @@ def test_wall_shear_stress(both, solution):
     assert_same_problems(problems, SHEAR)
 
 
-@pytest.mark.parametrize("others", [CORRECTED, WINDKESSEL])
-def test_flow_of_all_coupled(both, inflow, others):
-    points = np.array([8, 20, 40])
-    problems = [c.flow(others, ModelInputs(inflow, AREA, GRID), points, CONFIG) for c in both]
+@pytest.mark.parametrize(
+    ("others", "outlet"), [(CORRECTED, None), (WINDKESSEL, None), (CORRECTED, OWN)]
+)
+def test_flow_of_all_coupled(both, inflow, others, outlet):
+    given = others, ModelInputs(inflow, AREA, GRID), np.array([8, 20, 40]), CONFIG
+    problems = [c.flow(*given, responses(outlet)) for c in both]
     assert_same_problems(problems, ON)
 
 
@@ -108,10 +118,9 @@ def test_predictions(both, inflow, solution):
     shift = np.linspace(-1.0, 1.0, 16)
     # All harmonics, Nyquist's too.
     inflow = inflow + 0.05 * np.random.default_rng(7).normal(size=inflow.shape)
-    for parameters in (CORRECTED, WINDKESSEL):
-        found, expected = (
-            c.predict(parameters, shift, ModelInputs(inflow, AREA, GRID), CONFIG) for c in both
-        )
+    for parameters, outlet in ((CORRECTED, None), (WINDKESSEL, None), (CORRECTED, OWN)):
+        given = parameters, shift, ModelInputs(inflow, AREA, GRID), CONFIG
+        found, expected = (c.predict(*given, responses(outlet)) for c in both)
         for mine, theirs in zip(found, expected, strict=True):
             assert_same(mine, theirs)
     # A case does not depend on those beside it, to the bit.

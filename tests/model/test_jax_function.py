@@ -1,10 +1,13 @@
 """The equations of a model as a pure JAX function."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics import Reflection, Waveform, Windkessel
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +69,26 @@ def test_gradients_are_those_of_finite_differences(evaluate, physics_model, phys
         slope = slopes[name][-1] @ way
         ahead, back = losses[2 * row : 2 * row + 2]
         assert slope == pytest.approx((ahead - back) / 2e-5, rel=1e-6), name
+
+
+def test_a_given_outlet_is_that_of_the_parameters(physics_model, physics_cases):
+    """The equations take its response, too; their values are those of predictions."""
+    import jax
+
+    outlet = Windkessel(5e4, distal_pressure=Waveform(2e4, (5e3,), (0.0,)))
+    function, parameters = replace(physics_model, outlet=outlet).jax_function()
+    grid = physics_model.grid
+    expected = outlet.response(1, grid.time, grid.period, np.ones(1))[0]
+    np.testing.assert_array_equal(parameters["outlet"], expected)
+    with double_precision():
+        inputs = physics_cases.inflow[0], physics_cases.area_undeformed[0]
+        found = jax.eval_shape(function, parameters, *inputs)
+    assert found.pressure.shape == (grid.time.size, grid.z.size)
+
+
+def test_a_reflection_needs_a_vessel(physics_model):
+    with pytest.raises(InputError, match="vessel's end"):
+        replace(physics_model, outlet=Reflection()).jax_function()
 
 
 def test_only_the_preset_physics_has_one(small_model):

@@ -453,3 +453,12 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
     deviation = expected.standard_deviation()["pressure"].ravel()
     assert np.allclose(found["pressure_standard_deviation"], deviation, rtol=1e-6)
+    outlet = tmp_path / "outlet.json"
+    outlet.write_text('{"kind": "Windkessel", "resistance": 5e4, "distal_pressure": 4e4}')
+    code, _, _ = run_pcnde(
+        *("predict", out, "--inflow", tmp_path / "inflow.csv", "--area", tmp_path / "area.csv"),
+        *("--out", result, "--outlet", outlet),
+    )
+    assert code == 0
+    ends = read_frame(result).query("z == z.max()")
+    assert np.allclose(ends["pressure"], 5e4 * ends["flow"] + 4e4, rtol=1e-6)

@@ -204,7 +204,7 @@ function predict_closures(config::ClosureConfig, period::Float64, numbers::Int..
         return wrap_python_array(address, shape...)
     end
     fields = next(3), next(3), next(3), next(3)
-    parameters = next(1), next(1), next(1), next(1), next(1)
+    parameters = next(3), next(1), next(1), next(1), next(1)
     inputs = next(1), next(2), next(2), next(1), next(2)
     return predict_closures!(fields..., parameters, inputs..., period, config)
 end

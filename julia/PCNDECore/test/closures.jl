@@ -4,7 +4,17 @@ using PCNDECore:
     pressure_drop!, solve_banded!, spatial_modes, synthesize!, temporal_modes
 using PCNDECore.ForwardDiff: derivative
 
-const outlet = [1e5, 0.0, 0.0, 5e3]
+"""
+Real and imaginary parts of the response of a Windkessel.
+"""
+function windkessel(r1, r2, compliance, distal_pressure; period = 1.0)
+    omega = 2π .* (0:(n_times ÷ 2)) ./ period
+    impedance = r1 .+ r2 ./ (1 .+ im .* omega .* r2 .* compliance)
+    source = [n_times * distal_pressure; zeros(n_times ÷ 2)]
+    return reshape([reinterpret(Float64, impedance); reinterpret(Float64, complex(source))], :, 2, 1)
+end
+
+const outlet = windkessel(1e5, 0.0, 0.0, 5e3)
 const losses = [1.2, 1.1, 0.9, 1.3, 1.25, 0.95, 1.15, 0.06, 2.0, 0.7]
 const wall = [1e6, 0.45, 0.2, 1.0, 2e3]
 const shear = [0.6, 0.1, 0.2, 0.3, 0.25, 0.15, 0.7, 1.4, 0.8]
@@ -222,11 +232,19 @@ end
     @test predicted() == (flow, area, pressure, stress)
     # Outlets with and without a dependence on frequency are computed in two ways.
     for compliance in (0.0, 1e-17)
-        same = predicted(law = [4e4, 6e4, compliance, 5e3])
+        same = predicted(law = windkessel(4e4, 6e4, compliance, 5e3))
         @test all(isapprox.(same, (flow, area, pressure, stress); rtol = 1e-11))
     end
-    delayed = predicted(law = [4e4, 6e4, 1e-6, 5e3])
+    delayed = predicted(law = windkessel(4e4, 6e4, 1e-6, 5e3))
     @test maximum(abs, delayed[1] .- flow) > 1e-3
+    # Each case has its own outlet, and the distal pressure varies in time.
+    own = repeat(outlet, 1, 1, n_cases)
+    own[3, 2, 2] = 1e3 * n_times  # first harmonic of p_d, with the amplitude 2e3
+    varying = predicted(law = own)
+    @test varying[3][:, :, 1] == pressure[:, :, 1]
+    change = varying[3][end, :, 2] .- pressure[end, :, 2]
+    change .-= 1e5 .* (varying[1][end, :, 2] .- flow[end, :, 2])
+    @test change ≈ 2e3 .* cos.(2π .* (0:(n_times - 1)) ./ n_times) rtol = 1e-4
     few = ClosureConfig(correction = CorrectionClosure(hidden = [4], passes = 1))
     @test_throws SolveError predicted(config = few)
 end

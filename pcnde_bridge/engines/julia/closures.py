@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
@@ -36,11 +36,13 @@ class JuliaClosures(Closures):
         inputs: ModelInputs,
         points: npt.NDArray[np.int64],
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
         inside = internal_points(grid.z, config.losses.spacing)
-        fixed = others.outlet, others.losses, others.wall, inflow, inside.area(area_undeformed)
+        at_end = _parts(others.outlet_response(grid) if outlet is None else outlet)
+        fixed = at_end, others.losses, others.wall, inflow, inside.area(area_undeformed)
         on_inside = replace(grid, z=inside.z)
         return self._problem("flow", (*fixed, inside.outward, points), on_inside, config)
 
@@ -50,6 +52,7 @@ class JuliaClosures(Closures):
         shift: Array,
         inputs: ModelInputs,
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
@@ -57,7 +60,9 @@ class JuliaClosures(Closures):
         result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
         inside = internal_points(grid.z, config.losses.spacing)
         vessels = inside.area(area_undeformed), inside.z, inside.outward
-        given = *dict(parameters).values(), shift, inflow, *vessels
+        at_end = _parts(parameters.outlet_response(grid) if outlet is None else outlet)
+        vectors = dict(parameters) | {"outlet": at_end}
+        given = *vectors.values(), shift, inflow, *vessels
         # Referenced here, because Julia uses their memory until it returns.
         outputs = [field for field in result if field is not None]
         arrays = [*outputs, *(np.ascontiguousarray(a, np.float64) for a in given)]
@@ -76,3 +81,8 @@ class JuliaClosures(Closures):
             return value, jacobian
 
         return evaluate
+
+
+def _parts(outlet: ComplexArray) -> Array:
+    """Return real and imaginary part of each harmonic, (case, 2, 2·harmonic)."""
+    return np.ascontiguousarray(outlet).view(np.float64)

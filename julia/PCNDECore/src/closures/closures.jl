@@ -155,15 +155,15 @@ end
 
 """
     FlowClosure(
-        outlet, losses, wall, inflow, area_undeformed, outward, points, z, period, config,
+        outlets, losses, wall, inflow, area_undeformed, outward, points, z, period, config,
     )
 
 Q, mL/s, (point, time, case), of the coupled equations, as a function of the parameters of the
-correction. `outward` (given, z) interpolates from z to the given points, of which `points` are
+correction. `outlets` are those of [`outlet_laws`](@ref). `outward` (given, z) interpolates from z to the given points, of which `points` are
 indices.
 """
 struct FlowClosure
-    outlet::OutletLaw
+    outlets::Vector{OutletLaw}
     wall::Vector{Float64}
     vessels::Vector{VesselModes}
     inflow::Matrix{Float64}
@@ -173,13 +173,13 @@ struct FlowClosure
 end
 
 function FlowClosure(
-    outlet, losses, wall, inflow, area_undeformed, outward, points, z, period,
+    outlets, losses, wall, inflow, area_undeformed, outward, points, z, period,
     config::ClosureConfig,
 )
     vessels = VesselCache(wall, losses, zeros(N_SHEAR), z, outward, config)
     harmonics = Harmonics(size(inflow, 1), period)
     return FlowClosure(
-        OutletLaw(outlet, size(inflow, 1), period),
+        outlet_laws(outlets, harmonics, size(inflow, 2)),
         wall,
         [vessels(view(area_undeformed, :, case)) for case in axes(area_undeformed, 2)],
         inflow,
@@ -190,15 +190,15 @@ function FlowClosure(
 end
 
 function (closure::FlowClosure)(parameters::Vector{T}) where {T}
-    (; outlet, wall, vessels, inflow, points, harmonics, settings) = closure
+    (; outlets, wall, vessels, inflow, points, harmonics, settings) = closure
     flow = Array{T}(undef, length(points), size(inflow)...)
     threaded_batches(size(inflow, 2), BATCH_SIZE) do batches
         workspace, in_z = CoupledBatch(T, harmonics), similar(first(vessels).flow)
         for batch in batches
             @views selected, q = vessels[batch], inflow[:, batch]
             coupled_cases = couple!(
-                workspace, outlet, wall, parameters, zeros(length(batch)), selected, q,
-                harmonics, settings,
+                workspace, outlets[batch], wall, parameters, zeros(length(batch)), selected,
+                q, harmonics, settings,
             )
             for (case, coupled, vessel) in zip(batch, coupled_cases, selected)
                 modes_at_mean!(in_z, vessel.flow, vessel.flow_slope, coupled.mean_pressure)
@@ -275,7 +275,8 @@ mL/s, cm² and dyn/cm². The result of a case does not depend on the other cases
 
 # Arguments
 
-  - `parameters`: vectors of outlet, losses, wall, correction and wall shear stress.
+  - `parameters`: outlets, see [`outlet_laws`](@ref), and vectors of losses, wall, correction and
+    wall shear stress.
   - `shift`: added to the argument of the correction's sigmoid, (case).
   - `inflow`: Q(z=0, t), mL/s, (time, case).
   - `area_undeformed`: S_u, cm², (z, case).
@@ -292,10 +293,10 @@ function predict_closures!(
     flow, area, pressure, shear, parameters, shift, inflow, area_undeformed, z, outward,
     period, config::ClosureConfig,
 )
-    outlet_parameters, losses, wall, correction, shear_parameters = parameters
+    outlets, losses, wall, correction, shear_parameters = parameters
     n_times, n_cases = size(inflow)
     harmonics = cached_harmonics!(STATE, n_times, period)
-    outlet = OutletLaw(outlet_parameters, n_times, period)
+    laws = outlet_laws(outlets, harmonics, n_cases)
     vessels = cached_vessels!(STATE, wall, losses, shear_parameters, z, outward, config)
     # Larger amplitudes need more passes: batches of similar amplitude need similarly many.
     order = sortperm(vec(maximum(abs, inflow; dims = 1)); rev = true)
@@ -306,7 +307,7 @@ function predict_closures!(
             cases = view(order, batch)
             selected = [vessels(view(area_undeformed, :, case)) for case in cases]
             @views coupled_cases = couple!(
-                workspace.batch, outlet, wall, correction, shift[cases], selected,
+                workspace.batch, laws[cases], wall, correction, shift[cases], selected,
                 inflow[:, cases], harmonics, config.correction, PASS_TOLERANCE,
             )
             for (case, coupled, vessel) in zip(cases, coupled_cases, selected)

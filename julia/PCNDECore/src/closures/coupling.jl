@@ -90,32 +90,50 @@ function interpolated(modes::VesselModes, outward)
 end
 
 """
-    OutletLaw(parameters, n_times, period)
+    OutletLaw(response, harmonics)
 
-p(L) = p_d + 𝒵 Q(L) with 𝒵(ω) = R₁ + R₂/(1 + iωR₂C); `parameters` are R₁, R₂, C, p_d. For the
-Nyquist harmonic, the time points show only the part in phase, and no derivative.
+p(L) = p_d + 𝒵 Q(L); `response` (harmonic, 2) has 𝒵(ω) and the harmonics of p_d, each multiplied by
+the number of time points. For the Nyquist harmonic, the time points show only the part in phase,
+and no derivative.
 
 # Fields
 
   - `impedance`, `rate`: 𝒵, dyn·s/cm⁵, and iω𝒵, (harmonic).
-  - `resistance`: 𝒵 if it is the same for all harmonics, else NaN.
-  - `distal_pressure`: p_d, dyn/cm².
+  - `source`: harmonics of p_d without its mean, dyn/cm².
+  - `resistance`: 𝒵 if it is the same for all harmonics and p_d is constant, else NaN.
+  - `distal_pressure`: mean of p_d, dyn/cm².
 """
 struct OutletLaw
     impedance::Vector{ComplexF64}
     rate::Vector{ComplexF64}
+    source::Vector{ComplexF64}
     resistance::Float64
     distal_pressure::Float64
 end
 
-function OutletLaw(parameters, n_times, period)
-    r1, r2, compliance, distal_pressure = parameters
-    omega = frequencies(n_times, period)
-    impedance = r1 .+ r2 ./ (1 .+ im .* omega .* r2 .* compliance)
-    rate = im .* omega .* impedance
-    iseven(n_times) && ((impedance[end], rate[end]) = (real(impedance[end]), 0))
-    resistance = r2 * compliance == 0 ? r1 + r2 : NaN
-    return OutletLaw(impedance, rate, resistance, distal_pressure)
+function OutletLaw(response, harmonics::Harmonics)
+    impedance, source = response[:, 1], response[:, 2] .* harmonics.weight
+    if iseven(harmonics.n_times)
+        impedance[end], source[end] = real(impedance[end]), real(source[end])
+    end
+    distal_pressure, source[1] = real(source[1]), 0
+    rate = im .* harmonics.omega .* impedance
+    is_resistance = allequal(impedance) && all(iszero, source)
+    resistance = is_resistance ? real(impedance[1]) : NaN
+    return OutletLaw(impedance, rate, source, resistance, distal_pressure)
+end
+
+"""
+    outlet_laws(outlets, harmonics, n_cases)
+
+[`OutletLaw`](@ref) of each case from the real and imaginary parts of the harmonics,
+(2·harmonic, 2, case), of all cases or of one that they share.
+"""
+function outlet_laws(outlets, harmonics::Harmonics, n_cases)
+    laws = map(eachslice(outlets; dims = 3)) do parts
+        OutletLaw(@views(complex.(parts[1:2:end, :], parts[2:2:end, :])), harmonics)
+    end
+    return length(laws) == 1 ? fill(only(laws), n_cases) : collect(laws)
 end
 
 """
@@ -145,6 +163,7 @@ Functions of time of one case, computed by [`couple!`](@ref); k as in [`VesselMo
   - `driven`, `linear`: the part of κ·∂V/∂t that does not depend on Q(L), and the factor of
     the part that is linear with constant coefficients, (harmonic).
   - `solve`: inverse of ē + κ·A(ω), (harmonic).
+  - `outlet`: its [`OutletLaw`](@ref).
 """
 mutable struct CoupledCase{T, S <: Spectra{T}}
     const flow::Matrix{T}
@@ -168,6 +187,7 @@ mutable struct CoupledCase{T, S <: Spectra{T}}
     const driven::Vector{Complex{T}}
     const linear::Vector{Complex{T}}
     const solve::Vector{Complex{T}}
+    outlet::OutletLaw
 end
 
 function CoupledCase(::Type{T}, harmonics::Harmonics, spectra...) where {T}
@@ -177,7 +197,7 @@ function CoupledCase(::Type{T}, harmonics::Harmonics, spectra...) where {T}
     coefficients = (Vector{Complex{T}}(undef, n) for _ in 1:5)
     return CoupledCase(
         functions(), functions(), NaN, NaN, NaN, T(NaN), false, false, vectors..., spectra...,
-        coefficients...,
+        coefficients..., OutletLaw(zeros(ComplexF64, n, 2), harmonics),
     )
 end
 
@@ -212,7 +232,7 @@ Number of cases whose signals are transformed at the same time.
 const BATCH_SIZE = 8
 
 """
-    couple!(batch, outlet, wall, correction, shifts, vessels, inflow, harmonics, settings,
+    couple!(batch, outlets, wall, correction, shifts, vessels, inflow, harmonics, settings,
         tolerance = 0.0)
 
 Solve for the outlet flow of some cases, compute their functions of time, and return the
@@ -221,7 +241,7 @@ Solve for the outlet flow of some cases, compute their functions of time, and re
 # Arguments
 
   - `batch`: a [`CoupledBatch`](@ref) of these harmonics.
-  - `outlet`: [`OutletLaw`](@ref) of these harmonics.
+  - `outlets`: [`OutletLaw`](@ref) of each case.
   - `wall`, `correction`: parameters.
   - `shifts`: one value for each case, see [`hidden_share!`](@ref).
   - `vessels`: [`VesselModes`](@ref) of each case.
@@ -233,17 +253,17 @@ Solve for the outlet flow of some cases, compute their functions of time, and re
     need, all passes are made.
 """
 function couple!(
-    batch::CoupledBatch{T}, outlet::OutletLaw, wall, correction::Vector{T}, shifts, vessels,
+    batch::CoupledBatch{T}, outlets, wall, correction::Vector{T}, shifts, vessels,
     inflow, harmonics::Harmonics, settings::CorrectionClosure, tolerance::Float64 = 0.0,
 ) where {T}
     kappa = storage_factor(correction)
-    offset = outlet.distal_pressure - wall[end]
     cases = view(batch.cases, axes(inflow, 2))
     for (i, case) in pairs(cases)
-        @views initialize_case!(case, vessels[i], outlet, inflow[:, i], offset)
+        case.outlet = outlets[i]
+        @views initialize_case!(case, vessels[i], inflow[:, i], wall[end])
     end
     analyze!(batch.residual, harmonics)
-    foreach(case -> linearize!(case, outlet, kappa, harmonics), cases)
+    foreach(case -> linearize!(case, kappa, harmonics), cases)
     synthesize!(batch.passive, harmonics)
     for (i, case) in pairs(cases)
         (; share, solve, passive) = case
@@ -253,33 +273,34 @@ function couple!(
         middle = (maximum(factor, share) + minimum(factor, share)) / 2
         solve .= inverse.((sum(factor, share) / length(share) + middle) / 2 .+ solve)
     end
-    update_signals!(batch, cases, harmonics, outlet)
+    update_signals!(batch, cases, harmonics)
     for _ in 1:settings.passes
         all(case -> case.converged, cases) && break
         for case in cases
-            case.converged || set_residual!(case, kappa, offset)
+            case.converged || set_residual!(case, kappa, wall[end])
         end
         analyze!(batch.residual, harmonics)
         for case in cases
             case.converged || correct_outlet_flow!(case, tolerance)
         end
-        update_signals!(batch, cases, harmonics, outlet)
+        update_signals!(batch, cases, harmonics)
     end
-    set_time_functions!(batch, cases, harmonics, kappa, offset)
+    set_time_functions!(batch, cases, harmonics, kappa, wall[end])
     return cases
 end
 
 """
-    initialize_case!(coupled, vessel, outlet, inflow, offset)
+    initialize_case!(coupled, vessel, inflow, zero_pressure)
 
 Set the inflow and the parts of pressure and volume that follow from its mean.
 """
 function initialize_case!(
-    coupled::CoupledCase{T}, vessel, outlet::OutletLaw, inflow, offset,
+    coupled::CoupledCase{T}, vessel, inflow, zero_pressure,
 ) where {T}
-    (; residual, volume) = coupled
+    (; residual, volume, outlet) = coupled
     copyto!(coupled.inflow, inflow)
     residual.signals .= coupled.inflow
+    offset = outlet.distal_pressure - zero_pressure
     coupled.mean_pressure = real(outlet.impedance[1]) * mean_flow(coupled) + offset
     coupled.largest_inflow = maximum(abs, inflow)
     coupled.reference_flow = vessel.reference_flow
@@ -292,22 +313,25 @@ end
 mean_flow(coupled::CoupledCase) = sum(coupled.inflow) / length(coupled.inflow)
 
 """
-    linearize!(coupled, outlet, kappa, harmonics)
+    linearize!(coupled, kappa, harmonics)
 
 Compute the harmonics that follow from the inflow alone, including those of the passive tube,
 and set `solve` to κ·A(ω).
 """
-function linearize!(coupled::CoupledCase, outlet::OutletLaw, kappa, harmonics)
-    (; residual, inflow_harmonics, outlet_flow, driven, linear, solve, volume) = coupled
+function linearize!(coupled::CoupledCase, kappa, harmonics)
+    (; residual, inflow_harmonics, outlet_flow, driven, linear, solve, volume, outlet) = coupled
     of_inflow, of_stored = volume[3], volume[4]
     of_directed = directed_volume(coupled)
     @inbounds for k in eachindex(solve)
         i_omega, rate = im * harmonics.omega[k], outlet.rate[k]
+        source_rate = i_omega * outlet.source[k]
         q = complex(residual.real[k], residual.imaginary[k])
-        y = q * inverse(1 + kappa * volume[1] * rate)
-        set_harmonic!(coupled.passive, k, (i_omega * q, i_omega^2 * q, rate * y, y))
+        y = (q - kappa * volume[1] * source_rate) * inverse(1 + kappa * volume[1] * rate)
+        passive_rate = rate * y + source_rate
+        set_harmonic!(coupled.passive, k, (i_omega * q, i_omega^2 * q, passive_rate, y))
         inflow_harmonics[k], outlet_flow[k] = q, y
-        driven[k] = kappa * i_omega^2 * (of_inflow + of_stored) * q
+        driven[k] =
+            kappa * (i_omega^2 * (of_inflow + of_stored) * q + volume[1] * source_rate)
         linear[k] = kappa * (rate * volume[1] - i_omega^2 * of_stored)
         about_mean = rate * 2 * coupled.mean_pressure * volume[2] - i_omega * of_directed
         solve[k] = linear[k] + kappa * about_mean
@@ -355,11 +379,11 @@ Set one harmonic of each signal to a complex number.
 end
 
 """
-    update_signals!(batch, cases, harmonics, outlet)
+    update_signals!(batch, cases, harmonics)
 
 Compute the stored flow and the pressure in time from the harmonics of inflow and outlet flow.
 """
-function update_signals!(batch::CoupledBatch, cases, harmonics::Harmonics, outlet::OutletLaw)
+function update_signals!(batch::CoupledBatch, cases, harmonics::Harmonics)
     for case in cases
         (; inflow_harmonics, outlet_flow, stored) = case
         @inbounds for k in eachindex(outlet_flow)
@@ -368,36 +392,39 @@ function update_signals!(batch::CoupledBatch, cases, harmonics::Harmonics, outle
         end
     end
     synthesize!(batch.stored, harmonics)
-    if isnan(outlet.resistance)
+    if any(case -> isnan(case.outlet.resistance), cases)
         for case in cases
             (; outlet_flow, pressure) = case
+            (; impedance, rate, source) = case.outlet
             @inbounds for k in eachindex(outlet_flow)
-                y = outlet_flow[k]
-                set_harmonic!(pressure, k, (outlet.impedance[k] * y, outlet.rate[k] * y))
+                y, s = outlet_flow[k], source[k]
+                s_rate = im * harmonics.omega[k] * s
+                set_harmonic!(pressure, k, (impedance[k] * y + s, rate[k] * y + s_rate))
             end
         end
         synthesize!(batch.pressure, harmonics)
-    else
-        for case in cases
-            q, q_rates, d, p =
-                case.inflow, case.passive.signals, case.stored.signals, case.pressure.signals
-            @inbounds @simd for t in eachindex(q)
-                p[t, 1] = outlet.resistance * (q[t] - d[t, 1])
-                p[t, 2] = outlet.resistance * (q_rates[t, 1] - d[t, 2])
-            end
+    end
+    for case in cases
+        (; resistance) = case.outlet
+        isnan(resistance) && continue
+        q, q_rates, d, p =
+            case.inflow, case.passive.signals, case.stored.signals, case.pressure.signals
+        @inbounds @simd for t in eachindex(q)
+            p[t, 1] = resistance * (q[t] - d[t, 1])
+            p[t, 2] = resistance * (q_rates[t, 1] - d[t, 2])
         end
     end
     return nothing
 end
 
 """
-    set_residual!(coupled, kappa, offset)
+    set_residual!(coupled, kappa, zero_pressure)
 
-Set `residual` to e·d − κ·∂V/∂t without the linear part with constant coefficients; `offset`
-is the constant part of P.
+Set `residual` to e·d − κ·∂V/∂t without the linear part with constant coefficients.
 """
-function set_residual!(coupled::CoupledCase, kappa, offset)
+function set_residual!(coupled::CoupledCase, kappa, zero_pressure)
     (; inflow, share, volume, reference_flow) = coupled
+    offset = coupled.outlet.distal_pressure - zero_pressure
     q_rates, d, p, residual = (
         s.signals for
         s in (coupled.passive, coupled.stored, coupled.pressure, coupled.residual)
@@ -440,11 +467,13 @@ function correct_outlet_flow!(coupled::CoupledCase{T}, tolerance) where {T}
 end
 
 """
-    set_time_functions!(batch, cases, harmonics, kappa, offset)
+    set_time_functions!(batch, cases, harmonics, kappa, zero_pressure)
 
 Compute `flow`, `area` and `has_reversed_flow` from inflow and outlet flow.
 """
-function set_time_functions!(batch::CoupledBatch, cases, harmonics::Harmonics, kappa, offset)
+function set_time_functions!(
+    batch::CoupledBatch, cases, harmonics::Harmonics, kappa, zero_pressure,
+)
     for case in cases
         (; inflow_harmonics, outlet_flow, second_rate) = case
         @inbounds for k in eachindex(outlet_flow)
@@ -453,12 +482,13 @@ function set_time_functions!(batch::CoupledBatch, cases, harmonics::Harmonics, k
         end
     end
     synthesize!(batch.second_rate, harmonics)
-    foreach(case -> set_time_functions!(case, kappa, offset), cases)
+    foreach(case -> set_time_functions!(case, kappa, zero_pressure), cases)
     return nothing
 end
 
-function set_time_functions!(coupled::CoupledCase, kappa, offset)
+function set_time_functions!(coupled::CoupledCase, kappa, zero_pressure)
     (; flow, area, inflow, share, reference_flow) = coupled
+    offset = coupled.outlet.distal_pressure - zero_pressure
     q_rates, d, p, d2 = (
         s.signals for
         s in (coupled.passive, coupled.stored, coupled.pressure, coupled.second_rate)

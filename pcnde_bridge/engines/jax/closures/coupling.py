@@ -38,11 +38,7 @@ from pcnde_bridge.engines.jax.closures import wall_shear_stress
 from pcnde_bridge.engines.jax.closures.correction import hidden_share, storage_factor
 from pcnde_bridge.engines.jax.closures.integrals import from_inlet
 from pcnde_bridge.engines.jax.closures.wall import displacement
-from pcnde_bridge.engines.shared_terms import (
-    harmonic_frequencies,
-    outlet_impedance,
-    spectral_derivative,
-)
+from pcnde_bridge.engines.shared_terms import spectral_derivative
 
 _Signals = tuple[jax.Array, ...]
 """Functions of time."""
@@ -158,7 +154,9 @@ def couple(
 
     Parameters
     ----------
-    outlet, wall, correction : arrays
+    outlet : array of shape (2, harmonic)
+        𝒵, dyn·s/cm⁵, and harmonics of p_d, dyn/cm².
+    wall, correction : arrays
         Parameters.
     shift : scalar
         See :func:`~pcnde_bridge.engines.jax.closures.correction.hidden_share`.
@@ -179,8 +177,9 @@ def couple(
     n_times = inflow.shape[0]
     i_omega = spectral_derivative(n_times, period, jnp)
     with_rates = jnp.stack([jnp.ones_like(i_omega), i_omega, i_omega**2])
-    z_outlet = _impedance(outlet, n_times, period)
-    with_rate = z_outlet * with_rates[:2]
+    with_rate = outlet[0] * with_rates[:2]
+    # P is relative to the wall's reference pressure.
+    source = with_rates[:2] * outlet[1].at[0].add(-n_times * wall[-1])
     kappa = storage_factor(correction)
     inflow_harmonics = jnp.fft.rfft(inflow)
     mean_flow = jnp.mean(inflow)
@@ -188,11 +187,12 @@ def couple(
     def signals(harmonics: jax.Array) -> jax.Array:
         return jnp.fft.irfft(harmonics, n=n_times)
 
-    offset = outlet[3] - wall[-1]
-    mean_pressure = z_outlet[0].real * mean_flow + offset
+    mean_pressure = outlet[0, 0].real * mean_flow + source[0, 0].real / n_times
     total = jnp.concatenate([flow[1:3], flow[3:] + mean_pressure * flow_slope])
-    passive = inflow_harmonics / (1 + kappa * total[0] * with_rate[1])
-    passive_flow, passive_rate = signals(jnp.stack([passive, with_rate[1] * passive]))
+    filling = kappa * total[0]
+    passive = (inflow_harmonics - filling * source[1]) / (1 + filling * with_rate[1])
+    passive_rate = with_rate[1] * passive + source[1]
+    passive_flow, passive_rate = signals(jnp.stack([passive, passive_rate]))
     g = hidden_share(correction, passive_rate, passive_flow, shift, settings.hidden)
     shown = 1 / (1 - g)
     linear = _linear_filling(
@@ -204,9 +204,11 @@ def couple(
     def state(harmonics: jax.Array) -> tuple[_Signals, _Signals, _Signals]:
         """Return d with its rates, P and the modes, and ∂/∂t of P, P² and the modes."""
         found = signals(
-            jnp.concatenate([with_rates * (inflow_harmonics - harmonics), with_rate * harmonics])
+            jnp.concatenate(
+                [with_rates * (inflow_harmonics - harmonics), with_rate * harmonics + source]
+            )
         )
-        stored, (p, p_rate) = tuple(found[:3]), tuple(found[3:].at[0].add(offset))
+        stored, (p, p_rate) = tuple(found[:3]), tuple(found[3:])
         modes, mode_rates = losses.modes_in_time(tuple(inflow_signals), stored, reference_flow)
         return stored, (p, *modes), (p_rate, 2 * p * p_rate, *mode_rates)
 
@@ -226,16 +228,6 @@ def couple(
         change,
         ~jnp.all(losses.goes_forward(inflow_signals[0], stored[0])),
     )
-
-
-def _impedance(outlet: jax.Array, n_times: int, period: jax.Array) -> jax.Array:
-    """Return 𝒵(ω) of the outlet (R₁, R₂, C, p_d), dyn·s/cm⁵, (harmonic).
-
-    At the time points only the in-phase part of the Nyquist harmonic is visible.
-    """
-    omega = harmonic_frequencies(n_times, period, jnp)
-    z: jax.Array = outlet_impedance(outlet[0], outlet[1], outlet[2], omega)
-    return z.at[-1].set(z[-1].real) if n_times % 2 == 0 else z
 
 
 def _linear_filling(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array, IntArray
+from pcnde_bridge._typing import Array, ComplexArray, IntArray
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
@@ -27,6 +27,7 @@ from pcnde_bridge.engines.jax.closures.wall_shear_stress import Terms
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
 from pcnde_bridge.errors import SolveError
+from pcnde_bridge.hemodynamics.outlet import windkessel_response
 
 _BATCH = 64
 """Cases in one batch: their functions of time and of z fit into the processor's cache."""
@@ -53,13 +54,14 @@ class JaxClosures(Closures):
         inputs: ModelInputs,
         points: npt.NDArray[np.int64],
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
         (modes, _), which = _vessels_of(others, area_undeformed, grid, config)
         vessels = jax.tree.map(lambda array: array[which], modes)
-        fixed = others.outlet, others.wall, points, grid.period
-        return _problem(_flow, (vessels, inflow), fixed, config)
+        cases = vessels, inflow, _outlets(others, inputs, outlet)
+        return _problem(_flow, cases, (others.wall, points, grid.period), config)
 
     def _problem(
         self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
@@ -83,10 +85,12 @@ class JaxClosures(Closures):
         shift: Array,
         inputs: ModelInputs,
         config: ClosureConfig,
+        outlet: ComplexArray | None = None,
     ) -> Solution:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
         settings, count = _relevant(config), len(inflow)
+        outlets = _outlets(parameters, inputs, outlet)
         shape = *inflow.shape, grid.z.size
         result = Solution(*(self._buffers.empty(shape) for _ in range(4)))
         (vessels, _), which = _vessels_of(parameters, area_undeformed, grid, config)
@@ -95,7 +99,7 @@ class JaxClosures(Closures):
             rows = slice(start, start + _BATCH)
             batch: VesselModes = jax.tree.map(lambda modes: modes[which[rows]], vessels)
             at_outlet = batch.flow[:, :, -1], batch.flow_slope[:, :, -1]
-            cases = shift[rows], inflow[rows], *at_outlet, batch.reference_flow
+            cases = outlets[rows], shift[rows], inflow[rows], *at_outlet, batch.reference_flow
             coupled = _couple_batch(parameters, cases, grid.period, settings)
             _write_fields(coupled, batch, *(field[rows] for field in result if field is not None))
             return np.asarray(coupled.change)
@@ -116,6 +120,14 @@ class JaxClosures(Closures):
                 "(correction.passes)."
             )
         return result
+
+
+def _outlets(
+    parameters: ClosureParameters, inputs: ModelInputs, outlet: ComplexArray | None
+) -> ComplexArray:
+    """Return the response of the outlet of each case, (case, 2, harmonic)."""
+    found = parameters.outlet_response(inputs.grid) if outlet is None else outlet
+    return np.broadcast_to(found, (len(inputs.inflow), *found.shape[1:]))
 
 
 def _vessels_of(
@@ -164,7 +176,7 @@ def _couple_batch(
     parameters: ClosureParameters, cases: tuple[Any, ...], period: float, config: ClosureConfig
 ) -> Coupled:
     """Couple a batch of cases; see :func:`_couple`."""
-    vectors = parameters.outlet, parameters.wall, parameters.correction
+    vectors = parameters.wall, parameters.correction
     padded = tuple(_padded(array) for array in cases)
     with double_precision():
         found = _couple(vectors, padded, period, config=config)
@@ -241,7 +253,7 @@ def _area(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
 
 @_each_case
 def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
-    (vessel, inflow), (outlet, wall, points, period) = case, fixed
+    (vessel, inflow, outlet), (wall, points, period) = case, fixed
     vectors = outlet, wall, parameters
     at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
     coupled = couple(*vectors, jnp.zeros(()), inflow, *at_outlet, period, config.correction)
@@ -283,7 +295,8 @@ def solve_one(
     Parameters
     ----------
     parameters : mapping of str to array
-        Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`.
+        Vectors of :class:`~pcnde_bridge.engines.closure_parameters.ClosureParameters`; the
+        outlet may be a response (2, harmonic).
     inflow, area_undeformed : array of shape (time,) and (z,)
         Q_in, mL/s, and S_u, cm².
     grid : Grid
@@ -292,6 +305,9 @@ def solve_one(
         Settings of the model.
     """
     outlet, wall, correction = (parameters[n] for n in ("outlet", "wall", "correction"))
+    outlet = jnp.asarray(outlet)
+    if outlet.ndim == 1:
+        outlet = windkessel_response(outlet, inflow.size, grid.period, jnp)
     loss, shear = parameters["losses"], parameters["wall_shear_stress"]
     law, physics = config.wall.law, config.physics
     z, inward, outward = map(jnp.asarray, internal_points(grid.z, config.losses.spacing))
@@ -350,18 +366,19 @@ def _problem(
     return evaluate
 
 
+_Case = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+"""Shift and inflow, the vessel's modes at its end and their slopes, and the reference flow."""
+
+
 @partial(jax.jit, static_argnames="config")
 def _couple(
     vectors: tuple[Any, ...], cases: tuple[Any, ...], period: Any, config: ClosureConfig
 ) -> Coupled:
-    """Couple cases: shift, inflow, the vessel's modes at the outlet and reference flow."""
-    outlet, wall, correction = vectors
+    """Couple cases: their outlets, and the arrays of :data:`_Case`."""
+    wall, correction = vectors
     settings = period, config.correction, _SETTLED
 
-    def one(
-        shift: jax.Array, inflow: jax.Array, flow: jax.Array, slope: jax.Array, reference: jax.Array
-    ) -> Coupled:
-        case = shift, inflow, flow, slope, reference
+    def one(outlet: jax.Array, *case: *_Case) -> Coupled:
         return couple(outlet, wall, correction, *case, *settings)
 
     return jax.vmap(one)(*cases)
