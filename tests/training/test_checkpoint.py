@@ -40,7 +40,7 @@ class NumberState(RunState):
 class NumberProcedure(SimpleNamespace):
     """Procedure whose state is a number; it has cases, config and engine."""
 
-    checkpoint_format = "test", 1
+    checkpoint_format, outlet = ("test", 1), None
     count_iterations = staticmethod(lambda _: 1)
     steps = staticmethod(lambda _: [Step("count")])
     to_archive = staticmethod(lambda s: ({"number": s.number}, {"a": np.full(100, s.number)}))

@@ -53,7 +53,7 @@ class ByHand:
         self.amount, self.response = np.broadcast_arrays(amount, response)
         self.shifts = []
 
-    def predict(self, parameters, shift, inputs, config):
+    def predict(self, parameters, shift, inputs, config, outlet=None):
         self.shifts.append(shift)
         inflow = inputs.inflow
         case = np.rint(inflow[:, 0]).astype(int) - 1
