@@ -22,7 +22,7 @@ _OWN = GAMMA / 2
 _WEIGHT = sqrt(2.0) / 4
 
 _MAX_NEWTON = 20
-_NEWTON_TOLERANCE = 1e-5  # of the last update; convergence is quadratic
+_NEWTON_TOLERANCE = 1e-6  # of the last update; convergence is quadratic
 
 
 class Fields(NamedTuple):

@@ -121,7 +121,7 @@ def _collection(path: Path) -> dict[Path, dict[str, Path]]:
 
 def _merged(files: Mapping[str, Path]) -> Lines:
     """Return the files of a time series as one, with the time step in the names of arrays."""
-    budget = Budget(2 * sum(path.stat().st_size for path in {*files.values()} if path.is_file()))
+    budget = Budget(2 * sum(map(_size, {*files.values()})))
     first: Lines | None = None
     arrays: dict[str, Array] = {}
     for step, path in files.items():
@@ -137,6 +137,14 @@ def _merged(files: Mapping[str, Path]) -> Lines:
         arrays |= {f"{name}_{step}": values for name, values in named.items()}
     assert first is not None
     return first._replace(arrays=arrays)
+
+
+def _size(path: Path) -> int:
+    """Return the size of a file, or 0 where only reading it tells what is wrong."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _is_variable(name: str) -> bool:
