@@ -60,8 +60,8 @@ def fit(
     settings = settings_of(preset, config)
     check_outputs(out, checkpoint, size=members * _MODEL_SIZE, inputs=[Path(data)])
     given = outlet_of(outlet)
-    if given is not None and (members > 1 or not given.is_common):
-        raise InputError("--outlet takes one outlet for all cases, and no --members.")
+    if given is not None and not given.is_common:
+        raise InputError("--outlet takes one outlet for all cases.")
     if members > 1 and checkpoint is not None:
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
     if members == 1 and workers > 1:
@@ -80,7 +80,9 @@ def fit(
         # One worker is a process, too, so that the number of workers does not change a bit.
         executor = processes(workers)
         with resumable(f"The finished fits are in {folder}"):
-            model = Ensemble.fit(*run, members=members, executor=executor, folder=folder)
+            model = Ensemble.fit(
+                *run, members=members, outlet=given, executor=executor, folder=folder
+            )
         model.save(out)
         if not model.provenance["failures"]:
             remove_results(folder)
@@ -95,6 +97,7 @@ def cross_validate(
     config: Path | None = options.CONFIG,
     engine: EngineName = options.ENGINE,
     seed: int = options.SEED,
+    outlet: Path | None = options.OUTLET,
     workers: int = options.WORKERS,
     folder: Path | None = option(None, "Folder of finished fits, to resume an interrupted run."),
     csv: Path | None = options.CSV,
@@ -115,7 +118,10 @@ def cross_validate(
     train = split_of(load_cases(data), data, split)["train"]
     with resumable(f"The finished fits are in {folder}") if folder else nullcontext():
         table = cross_validation.cross_validate(
-            train, settings, engine, seed, executor=processes(workers), folder=folder
+            *(train, settings, engine, seed),
+            outlet=outlet_of(outlet),
+            executor=processes(workers),
+            folder=folder,
         )
     if csv is not None:
         write_csv(csv, table)

@@ -11,6 +11,7 @@ from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.splits import each_waveform_and_geometry
 from pcnde_bridge.engines import EngineChoice
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 
 
@@ -19,6 +20,8 @@ def cross_validate(
     config: Config | str = "paper",
     engine: EngineChoice = "auto",
     seed: int = 0,
+    *,
+    outlet: Outlet | None = None,
     **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Fit without each waveform and each geometry in turn, and evaluate on it.
@@ -27,7 +30,7 @@ def cross_validate(
     ----------
     cases : Cases
         Training cases.  Settings chosen by these errors leave the test cases independent.
-    config, engine, seed
+    config, engine, seed, outlet
         As in :meth:`pcnde_bridge.PCNDE.fit`.
     **options
         ``executor``, ``retries``, ``folder`` and ``progress``, as in
@@ -56,15 +59,21 @@ def cross_validate(
     seed = whole("seed", seed)
     settings = resolve_config(config)
     engine = same_everywhere(engine)
+    facts = {**common_facts("cross-validation", cases, settings, engine, outlet), "seed": seed}
     folds = each_waveform_and_geometry(cases)
     tasks = {}
     for (label, value), positions in folds.items():
         rest = np.setdiff1d(np.arange(len(cases)), positions)
         tasks[f"{label} {value}"] = FitTask(
-            cases.select(rest), settings, engine, seed, cases.select(positions)
+            cases.select(rest),
+            settings,
+            engine,
+            seed,
+            cases.select(positions),
+            outlet and outlet.select(rest),
+            outlet and outlet.select(positions),
         )
     index = pd.MultiIndex.from_tuples(folds, names=["label", "value"])
-    facts = {**common_facts("cross-validation", cases, settings, engine), "seed": seed}
     table = score_fits(tasks, index, facts, **options)
     table.insert(0, "cases", [len(positions) for positions in folds.values()])
     return table

@@ -15,6 +15,7 @@ from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.evaluation.design import choose
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 from pcnde_bridge.model.inputs import check_cases
 
@@ -28,6 +29,7 @@ def learning_curve(
     seed: int = 0,
     *,
     draws: int = 20,
+    outlet: Outlet | None = None,
     **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Fit designed and random subsets of the training cases, and evaluate them.
@@ -42,6 +44,8 @@ def learning_curve(
         As in :meth:`pcnde_bridge.PCNDE.fit`; the seed also draws the random subsets.
     draws : int
         Number of random subsets of each size.
+    outlet : Outlet, optional
+        One outlet for all cases, see :meth:`pcnde_bridge.PCNDE.fit`.
     **options
         ``executor``, ``retries``, ``folder`` and ``progress``, as in
         :func:`pcnde_bridge._utils.parallel.run`.
@@ -68,12 +72,12 @@ def learning_curve(
     subsets = _subsets(train, sizes, whole("draws", draws), whole("seed", seed))
     settings, engine = resolve_config(config), same_everywhere(engine)
     tasks = {
-        f"{size} {name}": FitTask(train.select(subset), settings, engine, seed, test)
+        f"{size} {name}": FitTask(train.select(subset), settings, engine, seed, test, outlet)
         for (size, name), subset in subsets.items()
     }
     index = pd.MultiIndex.from_tuples(subsets, names=["size", "subset"])
     facts = {
-        **common_facts("learning curve", train, settings, engine),
+        **common_facts("learning curve", train, settings, engine, outlet),
         "seed": seed,
         "subsets": [subset.tolist() for subset in subsets.values()],
     }

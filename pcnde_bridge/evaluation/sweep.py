@@ -11,6 +11,7 @@ from pcnde_bridge.config import Config, resolve_config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineChoice
 from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 from pcnde_bridge.model.inputs import check_cases
 from pcnde_bridge.model.kinds import kind_of
@@ -22,6 +23,8 @@ def sweep(
     configs: Mapping[str, Config | str],
     seeds: Sequence[int] = (0,),
     engine: EngineChoice = "auto",
+    *,
+    outlet: Outlet | None = None,
     **options: Unpack[RunOptions],
 ) -> pd.DataFrame:
     """Fit every configuration with every seed, and return the errors.
@@ -38,6 +41,8 @@ def sweep(
         Random seeds of the fits.
     engine
         As in :meth:`pcnde_bridge.PCNDE.fit`.
+    outlet : Outlet, optional
+        One outlet for all cases, see :meth:`pcnde_bridge.PCNDE.fit`.
     **options
         ``executor``, ``retries``, ``folder`` and ``progress``, as in
         :func:`pcnde_bridge._utils.parallel.run`.
@@ -72,13 +77,14 @@ def sweep(
     engine = same_everywhere(engine)
     keys = [(name, seed) for name in settings for seed in seeds]
     tasks = {
-        f"{name}, seed {seed}": FitTask(train, settings[name], engine, seed, held_out)
+        f"{name}, seed {seed}": FitTask(train, settings[name], engine, seed, held_out, outlet)
         for name, seed in keys
     }
     facts = {
         "held_out": None if held_out is None else held_out.fingerprint(),
         "configs": {
-            name: common_facts("sweep", train, config, engine) for name, config in settings.items()
+            name: common_facts("sweep", train, config, engine, outlet)
+            for name, config in settings.items()
         },
     }
     index = pd.MultiIndex.from_tuples(keys, names=["config", "seed"])

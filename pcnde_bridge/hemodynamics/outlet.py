@@ -9,8 +9,8 @@ where E is diagonal.  A state of E = 0 has no capacitance.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from pcnde_bridge._typing import Array, ComplexArray
 from pcnde_bridge._utils.validation import all_of, finite_array
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
 
@@ -80,6 +81,17 @@ class Outlet(ABC):
         """Whether all cases have the same values."""
         values = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
         return all(np.size(value) == 1 for value in values)
+
+    def select(self, cases: Positions) -> Self:
+        """Return the outlet of some of its cases."""
+
+        def some(value: Any) -> Any:
+            if np.size(value) == 1:
+                return value
+            chosen = np.asarray(value)[cases]
+            return tuple(chosen) if isinstance(value, tuple) else chosen
+
+        return replace(self, **{f.name: some(getattr(self, f.name)) for f in fields(self)})  # type: ignore
 
     def to_dict(self) -> dict[str, Any]:
         """Return the name of the class and all fields as numbers, lists and mappings."""

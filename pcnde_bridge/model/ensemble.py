@@ -100,6 +100,7 @@ class Ensemble(Predictor):
         *,
         members: int = 5,
         folds: int = 3,
+        outlet: Outlet | None = None,
         **options: Unpack[RunOptions],
     ) -> Ensemble:
         """Fit the members, and calibrate their spread on training cases that are left out.
@@ -116,6 +117,8 @@ class Ensemble(Predictor):
             Number of members, at least 2.
         folds : int
             Number of folds of the geometries and of the waveforms; two fits omit each.
+        outlet : Outlet, optional
+            See :meth:`PCNDE.fit`.
         **options
             ``executor``, ``retries``, ``folder`` and ``progress``, see
             :func:`pcnde_bridge._utils.parallel.run`.
@@ -145,20 +148,27 @@ class Ensemble(Predictor):
         left_out = neighboring_folds(cases, folds)
         if not left_out:
             raise InputError(f"{len(cases)} cases are too few for {folds} folds: give fewer folds.")
-        facts = common_facts("ensemble", cases, settings, engine) | {"seed": seed, "folds": folds}
-        tasks = {f"member {k}": FitTask(cases, settings, engine, seed + k) for k in range(members)}
+        facts = common_facts("ensemble", cases, settings, engine, outlet)
+        facts |= {"seed": seed, "folds": folds}
+        tasks = {
+            f"member {k}": FitTask(cases, settings, engine, seed + k, outlet=outlet)
+            for k in range(members)
+        }
         fits_of_folds = []
         for number, positions in enumerate(left_out):
-            rest = cases.select(np.setdiff1d(np.arange(len(cases)), positions))
+            others = np.setdiff1d(np.arange(len(cases)), positions)
+            rest, of_rest = cases.select(others), outlet and outlet.select(others)
             names = [f"without fold {number}, {k}" for k in range(_FITS_PER_FOLD)]
-            tasks |= {n: FitTask(rest, settings, engine, seed + k) for k, n in enumerate(names)}
-            fits_of_folds.append((names, cases.select(positions)))
+            for k, name in enumerate(names):
+                tasks[name] = FitTask(rest, settings, engine, seed + k, outlet=of_rest)
+            fold = cases.select(positions), outlet and outlet.select(positions)
+            fits_of_folds.append((names, *fold))
         outcome = run(fit_model, tasks, facts=facts, **options)
         models = {name: model_of(result, engine) for name, result in outcome.results.items()}
         fitted = [model for name, model in models.items() if name.startswith("member")]
         complete = [
-            ([models[name] for name in names], held_out)
-            for names, held_out in fits_of_folds
+            ([models[name] for name in names], *fold)
+            for names, *fold in fits_of_folds
             if models.keys() >= set(names)
         ]
         if len(fitted) < 2 or not complete:
@@ -238,17 +248,17 @@ def load_model(path: StrPath, engine: EngineChoice = "auto") -> PCNDE | Ensemble
     return kind.load(path, engine)
 
 
-def _calibrate(folds: Sequence[tuple[Sequence[PCNDE], Cases]]) -> Calibration:
-    """Fit profile and scale on folds: models, and the cases that they were not trained on."""
+def _calibrate(folds: Sequence[Any]) -> Calibration:
+    """Fit profile and scale on folds: models, cases on which they were not trained, outlet."""
     errors, spreads = [], []
-    for models, cases in folds:
-        found = [predict(model, cases).variables() for model in models]
+    for models, cases, outlet in folds:
+        found = [predict(model, cases, outlet).variables() for model in models]
         values = np.array([[variables[name] for variables in found] for name in VARIABLES])
         true = np.stack([getattr(cases, name) for name in VARIABLES])
         errors.append(np.abs(values.mean(axis=1) - true))
         spreads.append(values.std(axis=1, ddof=1))
     error, spread = np.concatenate(errors, axis=1), np.concatenate(spreads, axis=1)
-    inflow = np.concatenate([cases.inflow for _, cases in folds])
+    inflow = np.concatenate([cases.inflow for _, cases, _ in folds])
     reference = amplitude(inflow)
     relative = relative_amplitude(inflow, reference)
     profile = shared_error(error, relative)

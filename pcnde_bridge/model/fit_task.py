@@ -4,12 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Unpack, cast
 
+import numpy as np
 import pandas as pd
 
 from pcnde_bridge._utils.parallel import RunOptions, run
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines import EngineChoice, EngineName, select_engine
+from pcnde_bridge.errors import InputError
+from pcnde_bridge.hemodynamics.outlet import Outlet
+from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.metrics import ERRORS, pooled
 from pcnde_bridge.model.pcnde import PCNDE
 
@@ -30,6 +34,14 @@ class FitTask:
         Random seed of the fit.
     held_out : Cases or None
         Further cases that :func:`score_fits` evaluates.
+    outlet, held_out_outlet : Outlet or None
+        Outlets of both, see :meth:`PCNDE.fit`; one that is common to the training cases is also
+        that of the others.
+
+    Raises
+    ------
+    InputError
+        If the outlet of the further cases is not known.
     """
 
     train: Cases
@@ -37,10 +49,18 @@ class FitTask:
     engine: EngineChoice
     seed: int
     held_out: Cases | None = None
+    outlet: Outlet | None = None
+    held_out_outlet: Outlet | None = None
+
+    def __post_init__(self) -> None:
+        known = self.outlet is None or self.outlet.is_common or self.held_out_outlet is not None
+        if self.held_out is not None and not known:
+            raise InputError("outlet must be common to all cases here, not one for each.")
 
     def fit(self) -> PCNDE:
         """Fit the model."""
-        return PCNDE.fit(self.train, self.config, self.engine, self.seed, progress=False)
+        run = self.train, self.config, self.engine, self.seed
+        return PCNDE.fit(*run, progress=False, outlet=self.outlet)
 
 
 def fit_model(task: FitTask) -> dict[str, Any]:
@@ -96,20 +116,33 @@ def _fit_and_score(task: FitTask) -> dict[str, float]:
     """Fit, and return relative errors of both sets of cases, and seconds."""
     model = task.fit()
     scores: dict[str, float] = {}
-    for prefix, cases in (("", task.held_out), ("train_", task.train)):
+    held_out = "", task.held_out, task.held_out_outlet
+    for prefix, cases, outlet in (held_out, ("train_", task.train, task.outlet)):
         if cases is not None:
-            errors = pooled(model.evaluate(cases))
+            errors = pooled(model.evaluate(cases, outlet))
             scores |= {f"{prefix}{name}": error for name, error in errors.items()}
     return {**scores, "seconds": float(model.provenance["seconds"])}
 
 
-def common_facts(study: str, cases: Cases, config: Config, engine: EngineChoice) -> dict[str, Any]:
-    """Return the facts that identify a study, for :func:`pcnde_bridge._utils.parallel.run`."""
+def common_facts(
+    study: str, cases: Cases, config: Config, engine: EngineChoice, outlet: Outlet | None
+) -> dict[str, Any]:
+    """Return the facts that identify a study, for :func:`pcnde_bridge._utils.parallel.run`.
+
+    Raises
+    ------
+    InputError
+        If the outlet does not suit models with these settings, or the cases.
+    """
+    if outlet is not None:
+        kind_of(config).check_outlet(outlet)
+        outlet.values(len(cases), cases.time, cases.period, np.ones(len(cases)))  # checks it
     return {
         "study": study,
         "cases": cases.fingerprint(),
         "config": config.to_dict(),
         "engine": engine if isinstance(engine, str) else engine.name,
+        **({} if outlet is None else {"outlet": outlet.to_dict()}),
     }
 
 

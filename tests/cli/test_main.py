@@ -81,6 +81,28 @@ def fit_options(folder):
     )
 
 
+@pytest.mark.parametrize(
+    ("command", "resistance", "words"),
+    [
+        (("fit", "--out", "new.npz"), [1e4, 2e4], "one outlet for all cases"),
+        (("fit", "--out", "new.npz"), 1e4, "only the preset 'physics' takes one"),
+        (("fit", "--out", "new.npz", "--members", "2"), 1e4, "only the preset 'physics' takes one"),
+        (("cross-validate",), 1e4, "only the preset 'physics' takes one"),
+        (("cross-validate",), "wide", "outlet.resistance must hold real numbers"),
+    ],
+)
+def test_outlets_that_are_not_usable(folder, run, tmp_path, command, resistance, words):
+    name, *options = command
+    (tmp_path / "outlet.json").write_text(
+        json.dumps({"kind": "Windkessel", "resistance": resistance})
+    )
+    preset = "fast" if resistance == 1e4 else "physics"
+    given = "--engine", "jax", "--preset", preset, "--outlet", tmp_path / "outlet.json"
+    code, _, err = run(name, folder / "cases.npz", *options, *given)
+    assert code == 2
+    assert words in err
+
+
 # ---- in a separate process --------------------------------------------------
 
 

@@ -15,9 +15,10 @@ from helpers import (
     same_bits,
 )
 
-from pcnde_bridge import PCNDE, Ensemble, InputError
+from pcnde_bridge import PCNDE, Ensemble, InputError, cross_validate, sweep
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.types import ModelInputs
+from pcnde_bridge.evaluation import learning_curve
 from pcnde_bridge.hemodynamics import (
     CoronaryOutlet,
     Reflection,
@@ -134,6 +135,63 @@ def test_an_ensemble_passes_the_outlet_on(physics_model, physics_cases):
     ensemble = Ensemble([physics_model, physics_model], calibration)
     alone = physics_model.predict(physics_cases, outlet=SUCTION)
     np.testing.assert_allclose(ensemble.predict(physics_cases, outlet=SUCTION).flow, alone.flow)
+
+
+@pytest.fixture
+def fits(own_model, monkeypatch):
+    """Fits that return the model of all cases; their cases and outlets."""
+    found = []
+
+    def fit(cases, *_, outlet, **__):
+        found.append((cases, outlet))
+        return own_model
+
+    monkeypatch.setattr(PCNDE, "fit", fit)
+    return found
+
+
+def test_each_fit_and_fold_has_the_outlets_of_its_cases(fits, own_cases, own_model):
+    """The errors are those of the model with the outlets of the cases."""
+    given = own_cases, PHYSICS_CONFIG, "jax"
+    ensemble = Ensemble.fit(*given, members=2, folds=2, outlet=OWN, progress=False)
+    table = cross_validate(*given, outlet=OWN, progress=False)
+    assert {len(cases) for cases, _ in fits} == {8, 12, 16}
+    for cases, outlet in fits:
+        rows = (4 * cases.labels["geometry"] + cases.labels["waveform"] - 4).to_numpy()
+        np.testing.assert_array_equal(outlet.resistance, 0.2 * RESISTANCES[rows])
+        assert outlet.capacitance == OWN.capacitance
+    assert (table[["pressure", "train_pressure"]] < 1e-3).to_numpy().all()
+    assert ensemble.calibration.profile[2].max() < 5e-3 * own_cases.pressure.max()
+    errors = ensemble.evaluate(own_cases, OWN)
+    assert errors.equals(own_model.evaluate(own_cases, OWN))
+
+
+def test_outlets_of_fits_that_are_not_usable(fits, own_cases, toy_config):
+    def unusable(words, function, *given, **options):
+        with pytest.raises(InputError, match=words):
+            function(*given, progress=False, **options)
+        assert not fits
+
+    unusable("common to all cases", sweep, own_cases, own_cases, {"a": "physics"}, outlet=OWN)
+    unusable("common to all cases", learning_curve, own_cases, own_cases, [4], outlet=OWN)
+    for function in (Ensemble.fit, cross_validate):
+        wrong = Windkessel(np.ones(17))
+        unusable("one for each of 16 cases", function, own_cases, "physics", outlet=wrong)
+        unusable("only the preset 'physics'", function, own_cases, toy_config, outlet=SUCTION)
+
+
+def test_a_sweep_has_one_outlet(fits, own_cases):
+    for outlet in (SUCTION, None):
+        sweep(own_cases, None, {"a": PHYSICS_CONFIG}, outlet=outlet, progress=False)
+        assert fits.pop()[1] is outlet
+
+
+def test_outlet_of_some_cases():
+    other = Waveform(1e4)
+    both = Windkessel([1.0, 2.0, 3.0], 5.0, distal_pressure=(MUSCLE, other, MUSCLE))
+    found = both.select(np.array([2, 1]))
+    assert found.resistance.tolist() == [3.0, 2.0]
+    assert (found.distal_resistance, found.distal_pressure) == (5.0, (MUSCLE, other))
 
 
 def test_ffr_of_another_patient_is_that_of_the_solver():
