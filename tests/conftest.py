@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -38,12 +37,6 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 # Functions with diffrax's checks of its arguments, which are callbacks, could not be stored.
 os.environ.setdefault("EQX_ON_ERROR", "off")
-# XLA compiles in two thirds of the time with its older code generator, if it still has that flag.
-if "XLA_FLAGS" not in os.environ:
-    _flags = {"XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false"}
-    _start = [sys.executable, "-c", "import jax; jax.devices()"]
-    _done = subprocess.run(_start, env={**os.environ, **_flags}, capture_output=True, check=False)
-    os.environ |= _flags if _done.returncode == 0 else {"XLA_FLAGS": ""}
 
 
 def pytest_runtest_setup(item):

@@ -12,9 +12,9 @@ import shutil
 import stat
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, wraps
 from multiprocessing import current_process
 from pathlib import Path
 from typing import Any
@@ -115,6 +115,42 @@ def _remove_oldest(folder: Path) -> None:
         size += found.st_size
         if size > _LARGEST_CACHE:
             file.unlink()
+
+
+@cache
+def _compiler_options() -> dict[str, Any]:
+    """Return options with which XLA compiles in two thirds of the time, where it knows them."""
+    import jax
+
+    options = {"xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda: 0, compiler_options=options)()
+    except Exception:  # of a type that depends on JAX's version
+        return {}
+    return options
+
+
+def compiled(*static: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Compile a function that no other compiled one calls, for each value of the arguments named.
+
+    Unlike :func:`jax.jit`, this does not start JAX before the function is called.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @cache
+        def jitted() -> Any:
+            import jax
+
+            options = _compiler_options()
+            return jax.jit(function, static_argnames=static, compiler_options=options)
+
+        @wraps(function)
+        def call(*arguments: Any, **settings: Any) -> Any:
+            return jitted()(*arguments, **settings)
+
+        return call
+
+    return decorate
 
 
 @contextmanager

@@ -33,10 +33,10 @@ from pcnde_bridge.hemodynamics.outlet import windkessel_response
 _BLOCK = 64
 """Largest number of cases whose values and Jacobian are in memory at once."""
 
-_VALUES = 800
+_VALUES = 400
 """Number of cases times time points to which losses, wall and wall shear stress are fitted."""
 
-_FEWEST_TIMES, _MOST_TIMES = 8, 25
+_FEWEST_TIMES, _MOST_TIMES = 4, 25
 """Time points of a case: without memory, few are enough."""
 
 _DROP_WEIGHT = 10.0

@@ -10,13 +10,13 @@ The coupling passes therefore need no array over time and space; only the result
 The result equals that of the five stages in turn up to round-off (tested).
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pcnde_bridge._utils.jax_context import compiled
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.engines.jax.area import flow_slope, fourier_integral
 from pcnde_bridge.engines.jax.flow import FlowNetwork, solve_hidden, split_network
@@ -55,7 +55,7 @@ class _InSpace(NamedTuple):
     area: jax.Array
 
 
-@partial(jax.jit, static_argnames="config")
+@compiled("config")
 def predict(
     parameters: dict[str, jax.Array], inputs: Inputs, grid: GridArrays, config: PCNDEConfig
 ) -> Inputs:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.jax.bfgs import minimize
@@ -70,7 +70,7 @@ class JaxStage(Stage):
         self._integrates = integrates
         self._loss_scale = loss_scale
         self._case_by_case = case_by_case
-        compile_ = partial(jax.jit, static_argnames=("config",))
+        compile_ = compiled("config")
         self._solve = compile_(self._predict)
         self._value = compile_(self._loss)
         self._value_and_gradient = compile_(jax.value_and_grad(self._loss))

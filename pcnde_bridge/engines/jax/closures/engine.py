@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, ComplexArray, IntArray
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
@@ -268,7 +268,7 @@ def _wall_shear_stress(
     return wall_shear_stress.stress(parameters, *case)
 
 
-@partial(jax.jit, static_argnames="config")
+@compiled("config")
 def _vessels(
     wall: jax.Array,
     loss: jax.Array,
@@ -326,7 +326,7 @@ def solve_one(
     return Solution(*fields)
 
 
-@partial(jax.jit, static_argnames=("function", "config"))
+@compiled("function", "config")
 def _value_and_jacobian(
     function: Callable[..., jax.Array],
     parameters: jax.Array,
@@ -370,7 +370,7 @@ _Case = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 """Shift and inflow, the vessel's modes at its end and their slopes, and the reference flow."""
 
 
-@partial(jax.jit, static_argnames="config")
+@compiled("config")
 def _couple(
     vectors: tuple[Any, ...], cases: tuple[Any, ...], period: Any, config: ClosureConfig
 ) -> Coupled:
