@@ -18,6 +18,7 @@ _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
 _ROOT = math.sqrt(math.pi) / 2  # root of the area over the diameter
 _SHEAR = {"wall_shear_stress": 1, "area": 1.5, "flow": -1}
 _BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
+_INERTIA = {"inertia": 1, "pressure": 1, "time": 1, "area": 1, "flow": -1, "z": -1}
 
 
 class _Range(NamedTuple):
@@ -45,7 +46,8 @@ class _Range(NamedTuple):
 # Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
 # Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise.
 # The published volumes grow by half of the difference of the flows; exact solutions have 1.
-_INERTIA, _POISEUILLE = 1 / (_ROOT * _VISCOSITY), 1 / (0.32 * _ROOT)
+# The density is 0.91 to 1.25 for the published and the synthetic vessels, of blood 1.06 g/cm³.
+_REYNOLDS, _POISEUILLE = 1 / (_ROOT * _VISCOSITY), 1 / (0.32 * _ROOT)
 _RANGES = (
     _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, -1e5, 4e5, {"pressure": 1}),
     _Range("the mean flow", " mL/s", 0.01, 250, 0.002, 750, {"flow": 1}),
@@ -54,10 +56,11 @@ _RANGES = (
     _Range("the length of the recording", " s", 0.25, 60, 0.08, 300, {"time": 1}),
     _Range("the area over the undeformed area", "", 0.6, 1.55, 0.2, 5, {"ratio": 1, "area": 0}),
     _Range("flow over area", " cm/s", 1, 100, 0.2, 400, {"flow": 1, "area": -1}),
-    _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _INERTIA),
-    _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.2, 5, _SHEAR, _POISEUILLE),
+    _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _REYNOLDS),
+    _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.32, 5, _SHEAR, _POISEUILLE),
     _Range("the length over the diameter", "", 2.5, 100, 0.8, 300, {"z": 1, "area": -0.5}, _ROOT),
     _Range("inflow less outflow, over the growth of the volume,", "", *(0.3, 2.8) * 2, _BALANCE),
+    _Range("the density by pressures and accelerations", " g/cm³", 0.75, 1.5, 0.4, 3, _INERTIA),
 )
 _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
 _GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
@@ -68,6 +71,8 @@ _TRANSPOSED = (
     "np.swapaxes(array, -1, -2)."
 )
 
+BALANCES = {"balance", "inertia"}
+"""Sizes that compare the variables with each other; unknown where nothing changes in time."""
 
 Sizes = dict[str, Array]
 """Measured quantities by name, one number for each vessel; NaN is unknown."""
@@ -106,10 +111,16 @@ def sizes_of(
     sizes["ratio"] = np.median((area / undeformed).mean(axis=1), axis=1)
     if wall_shear_stress is not None:
         sizes["wall_shear_stress"] = np.median(np.abs(wall_shear_stress.mean(axis=1)), axis=1)
-    # The other sizes in this product cancel, so that it is measured in their units.
-    sizes["balance"] = _balance(flow, area, time, z) * np.divide(
-        sizes["area"] * sizes["z"], sizes["flow"] * sizes["time"]
-    )
+    balance = _balance(flow, area, time, z)
+    # Where the walls move, their volume shows units better.
+    density = np.where(np.isnan(balance), _density(flow, area, pressure, time, z), np.nan)
+    for name, powers, values in (
+        ("balance", _BALANCE, balance),
+        ("inertia", _INERTIA, density),
+    ):
+        # The other sizes in this product cancel, so that it is measured in their units.
+        others = math.prod(sizes[other] ** powers[other] for other in powers if other != name)
+        sizes[name] = np.divide(values, others, out=np.full_like(values, np.nan), where=others != 0)
     return sizes
 
 
@@ -154,6 +165,32 @@ def _balance(flow: Array, area: Array, time: Array, z: Array) -> Array:
     return slope
 
 
+def _density(flow: Array, area: Array, pressure: Array, time: Array, z: Array) -> Array:
+    """Return the density by which differences of the pressure accelerate the flow, (case,).
+
+    Losses are the rest that is constant, linear or quadratic in the flow.  It is NaN where
+    accelerations do not explain what remains of the differences.
+    """
+    from scipy.interpolate import CubicSpline
+
+    density: Array = np.full(len(flow), np.nan)
+    if len(time) < _RESOLVED:
+        return density
+    per_length = np.trapezoid(flow / area.mean(axis=1, keepdims=True), z, axis=2)
+    accelerations = CubicSpline(time, per_length, axis=1)(time, 1)
+    drops, means = pressure[:, :, 0] - pressure[:, :, -1], flow.mean(axis=2)
+    floor = 1e-6 * np.abs(pressure).max(axis=(1, 2)) * math.sqrt(len(time))
+    for case, q in enumerate(means / np.abs(means).max(axis=1, keepdims=True).clip(1e-300)):
+        losses, _ = np.linalg.qr(np.stack([np.ones_like(q), q, q * np.abs(q)], axis=1))
+        drop, rate = (
+            values - losses @ (losses.T @ values) for values in (drops[case], accelerations[case])
+        )
+        size = np.linalg.norm(drop)
+        if size > floor[case] and drop @ rate > 0.98 * size * np.linalg.norm(rate):
+            density[case] = (drop @ rate) / (rate @ rate)
+    return density
+
+
 class Advice(NamedTuple):
     """Advice for numbers whose units are wrong or ambiguous.
 
@@ -161,18 +198,27 @@ class Advice(NamedTuple):
     ----------
     state : str
         Format of the advice to use the units ``{units}``, or ``{flags}`` at the command line.
+    choose : str
+        Advice where several units are possible.
     confirm : str
         Advice for numbers that are right as they are.
     """
 
     state: str
+    choose: str
     confirm: str
 
 
-OPTION = Advice("pass units={units} (--units {flags})", "pass units='cgs' (--units cgs)")
+OPTION = Advice(
+    "pass units={units} (--units {flags})",
+    "state the units (--units)",
+    "pass units='cgs' (--units cgs)",
+)
 """Advice where units can be stated by an option."""
 
-CONVERT = Advice("convert the arrays to CGS units", "pass check=False")
+CONVERT = Advice(
+    "convert the arrays to CGS units", "convert the arrays to CGS units", "pass check=False"
+)
 """Advice where arrays must be in CGS units."""
 
 
@@ -190,8 +236,8 @@ def check_units(
     advice : Advice
         Advice for the message.
     unique : bool
-        Raise also if the numbers are usual in other units as well, but not if a volume balance
-        is wrong in all units: :func:`check_vessel` may explain it.
+        Raise also if the numbers are usual in other units as well, but not if a balance of
+        volume or momentum is wrong in all units: :func:`check_vessel` may explain it.
 
     Raises
     ------
@@ -209,7 +255,7 @@ def check_units(
     for usual, low, high in _measured(sizes):
         if usual.powers.keys() & {*open_}:
             measured.append((usual, low, high))
-        elif unique and usual.powers is _BALANCE:
+        elif unique and usual.powers.keys() & BALANCES:
             continue  # start-up cycles need not balance
         elif low < usual.least or high > usual.most:
             wrong = low if low < usual.least else high
@@ -228,14 +274,14 @@ def check_units(
     if right and others:
         raise InputError(
             "the units are ambiguous: the numbers are usual in CGS units, and with "
-            f"{_listed(others)}. State the units (--units); if they are CGS, {advice.confirm}."
+            f"{_listed(others)}: {advice.choose}; if they are CGS, {advice.confirm}."
         )
     doubts = [
         f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
         f"{usual.low:g} to {usual.high:g}"
         for usual, low, high in measured
         if not usual.holds(low, high, {})
-        and (others or not unique or "balance" not in usual.powers)
+        and (others or not unique or usual.powers.keys().isdisjoint(BALANCES))
     ]
     if not doubts:
         return
@@ -244,7 +290,7 @@ def check_units(
         state = advice.state.format(units=units, flags=flags)
         hint = f"All numbers are usual with {_listed(others)}: {state}"
     elif others:
-        hint = f"The numbers are usual with {_listed(others)}: state the units (--units)"
+        hint = f"The numbers are usual with {_listed(others)}: {advice.choose}"
     else:
         hint = "They are unusual in every combination of known units: correct the numbers"
     raise InputError(

@@ -28,10 +28,13 @@ from pcnde_bridge.io import read_hdf5
 from pcnde_bridge.model.inputs import check_plausible, inputs_from_arrays
 
 
-def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=False, shear=1.0):
+def artery(
+    diameter, speed, slenderness, period, pressure, n_times=16, rigid=False, shear=1.0, drop=True
+):
     """An artery in CGS units whose volume is conserved: pulses that grow along it.
 
-    Its wall shear stress is ``shear`` times Poiseuille's; None: it has none.
+    Its wall shear stress is ``shear`` times Poiseuille's; None: it has none.  With ``drop``,
+    its pressure accelerates the flow and overcomes Poiseuille's friction.
     """
     time, z = np.arange(n_times) / n_times * period, np.linspace(0, slenderness * diameter, 7)
     undeformed = np.full(7, np.pi / 4 * diameter**2)
@@ -43,6 +46,11 @@ def artery(diameter, speed, slenderness, period, pressure, n_times=16, rigid=Fal
     growth -= growth.mean(axis=0)
     flow = flow - growth * z
     pressures = pressure * (1 + 0.2 * np.cos(angle))[:, None] * np.ones(7)
+    if drop:
+        harmonic = 2j * np.pi / period * np.arange(n_times // 2 + 1)[:, None]
+        rate = np.fft.irfft(np.fft.rfft(flow, axis=0) * harmonic, n_times, axis=0)
+        slope = 1.06 * rate / undeformed + 8 * np.pi * 0.04 * flow / undeformed**2
+        pressures -= slope * z
     fields = {
         "flow": flow[None],
         "area": area[None],
@@ -74,6 +82,7 @@ arteries = st.builds(
     st.floats(0.35, 2.0),
     st.floats(5e4, 2e5),
     rigid=st.booleans(),
+    drop=st.booleans(),
     shear=st.none() | st.floats(0.4, 2.5),
 ).filter(is_usual)
 mixes = st.fixed_dictionaries(
@@ -165,12 +174,37 @@ def test_arteries_are_usual(diameter, flow, length, pressure):
 
 def test_the_volume_balance_tells_lengths_apart():
     """An artery in mm³/s, mm² and mm is another artery in CGS units unless it is compared."""
-    fields = artery(0.4, 10.0, 33.0, 1.0, 1.3e5)
+    fields = artery(0.4, 10.0, 33.0, 1.0, 1.3e5, drop=False)
     check_units(sizes_of(**fields), (), OPTION, unique=True)
-    rigid = artery(0.4, 10.0, 33.0, 1.0, 1.3e5, rigid=True)
+    rigid = artery(0.4, 10.0, 33.0, 1.0, 1.3e5, rigid=True, drop=False)
     with pytest.raises(InputError, match=r"ambiguous: .* in CGS units, and with z in mm"):
         check_units(sizes_of(**rigid), (), OPTION, unique=True)
     check_units(sizes_of(**rigid), ("z",), OPTION, unique=True)
+
+
+@pytest.mark.parametrize(("name", "factor"), [("z", 10), ("flow", 60), ("flow", 0.06)])
+@pytest.mark.parametrize("diameter", [0.15, 0.4, 0.6, 2.0])
+def test_rigid_walls_in_other_units_are_refused(diameter, name, factor):
+    """Pressures that accelerate the flow settle it; without such pressures it is ambiguous."""
+    fields = artery(diameter, 20.0, 10.0, 0.9, 1.2e5, rigid=True, shear=None)
+    Cases(**fields)
+    other = {**fields, name: factor * fields[name]}
+    with pytest.raises(InputError, match=r"look like CGS.*convert the arrays to CGS units, or"):
+        Cases(**other)
+    check_units(sizes_of(**fields), FACTORS, OPTION)
+    with pytest.raises(InputError, match=r"with the stated units .* possible are"):
+        check_units(sizes_of(**other), FACTORS, OPTION)
+    still = artery(diameter, 20.0, 10.0, 0.9, 1.2e5, rigid=True, shear=None, drop=False)
+    with pytest.raises(InputError, match=r"look like CGS|ambiguous"):
+        Cases(**{**still, name: factor * still[name]})
+
+
+def test_cases_that_are_ambiguous_are_refused():
+    fields = artery(0.3, 14.0, 33.0, 0.9, 1.2e5, rigid=True, shear=None, drop=False)
+    message = "ambiguous: .*, and with z in mm: convert the arrays to CGS units; if they are CGS, "
+    with pytest.raises(InputError, match=rf"{message}pass check=False"):
+        Cases(**fields)
+    Cases(**fields, check=False)
 
 
 def along(change):
@@ -233,6 +267,19 @@ def test_a_wrongly_stated_unit_is_refused(name):
         if factor != 1:
             with pytest.raises(InputError, match=r"with the stated units .* possible are"):
                 check_units(sizes_of(**read), FACTORS, OPTION)
+
+
+@pytest.mark.parametrize("shear", [0.35, 1.0, 3.0])
+def test_a_wall_shear_stress_in_pascal_is_refused(shear):
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5, shear=shear)
+    check_units(sizes_of(**fields), (), OPTION, unique=True)
+    fields["wall_shear_stress"] /= 10
+    with pytest.raises(InputError, match=r"Pa: pass units=\{'wall_shear_stress': 'Pa'\}"):
+        check_units(sizes_of(**fields), (), OPTION, unique=True)
+    with pytest.raises(InputError, match=r"in Pa: convert the arrays to CGS units"):
+        Cases(**fields)
+    with pytest.raises(InputError, match=r"with the stated units the wall shear stress over"):
+        check_units(sizes_of(**fields), FACTORS, OPTION)
 
 
 @pytest.mark.parametrize(("real", "stated"), itertools.permutations(SYSTEMS, 2))
