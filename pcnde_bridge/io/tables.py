@@ -24,7 +24,7 @@ _OLD_PANDAS = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _OLD_PANDAS else {}
 _COMPRESSED: dict[str, Any] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 _TABLE = "a table of comma-separated values in UTF-8"
-_MOST_COLUMNS, _MOST_VALUES = 100_000, 5_000_000
+_MOST_COLUMNS, _MOST_UNNAMED, _MOST_VALUES = 100_000, 100, 5_000_000
 _LARGEST = np.iinfo(np.int64).max
 _TRUTH = {"True": True, "False": False}
 _DECIMAL = re.compile(r"-?(inf|(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d+)?)", re.ASCII)
@@ -50,6 +50,7 @@ def read_frame(path: StrPath, **options: Any) -> pd.DataFrame:
     """
     with reading(path, _TABLE):
         _check_unpacked(Path(path))
+        _check_widths(Path(path), options.get("comment"))
         header = "" if "sep" in options else first_line(path)
         for mark, name in ((";", "semicolons"), ("\t", "tabs")):
             if mark in header and "," not in header:
@@ -71,6 +72,22 @@ def _check_unpacked(path: Path) -> None:
                 values += sum(map(block.count, (b",", b";", b"\t", b"\n")))
         if values > _MOST_VALUES + stored // 3:
             raise ValueError(f"it has {values} values in a file of {stored} bytes")
+
+
+def _check_widths(path: Path, comment: str | None) -> None:
+    """Refuse names, or a first row, of so many columns that reading them would never end."""
+    if not path.is_file():
+        return
+    with _opened(path) as text:
+        filled = (line for line in text if line.strip() and line[0] != comment)
+        widths = [_width(line) for line in itertools.islice(filled, 2)]
+    for width, most in zip(widths, (_MOST_COLUMNS, widths[0] + _MOST_UNNAMED), strict=False):
+        if width > most:
+            raise ValueError(f"it has a row of {width + 1} columns")
+
+
+def _width(line: str) -> int:
+    return sum(map(line.count, ",;\t"))
 
 
 def _opened(path: Path) -> TextIO:
@@ -98,12 +115,8 @@ def first_line(path: StrPath) -> str:
     check_file(Path(path), _TABLE)
     if not Path(path).is_file():
         return ""
-    with reading(path, _TABLE):
-        with _opened(Path(path)) as text:
-            line = next((line for line in text if line.strip() and line[0] != "#"), "")
-        if (count := sum(map(line.count, ",;\t"))) > _MOST_COLUMNS:
-            raise ValueError(f"it has {count} columns")
-        return line.rstrip("\n")
+    with reading(path, _TABLE), _opened(Path(path)) as text:
+        return next((line for line in text if line.strip() and line[0] != "#"), "").rstrip("\n")
 
 
 def numbers(path: StrPath, column: pd.Series[Any]) -> Array:
@@ -162,7 +175,7 @@ def read_labeled(
     numeric : collection of str
         Names of the columns of numbers, read as :func:`pandas.read_csv` does.
     **options
-        Options of :func:`pandas.read_csv`.
+        Options of :func:`pandas.read_csv` that choose columns.
 
     Returns
     -------
@@ -189,8 +202,7 @@ def read_labeled(
             dtype=dict.fromkeys(names, str),
             keep_default_na=False,
             na_values={name: _MISSING for name in header if name in numeric},
-            **options,
-        )
+        )[header]
         for name in names:
             texts.setdefault(name, set()).update(frame[name].unique())
         tables.append((path, frame))

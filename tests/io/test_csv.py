@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from io_helpers import predicted
 
-from pcnde_bridge import FileError, InputError
+from pcnde_bridge import FileError, InputError, PCNDEError
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.io import read_csv, to_cases
+from pcnde_bridge.io.input_tables import read_columns
 from pcnde_bridge.io.tables import read_frame
 
 
@@ -190,6 +191,26 @@ def test_other_kinds_of_tables_are_told_what_to_do(prediction, tmp_path, options
     prediction.to_frame().to_csv(path, index=False, **options)
     with pytest.raises(FileError, match=rf"p\.csv.*{message}"):
         read_csv(path)
+
+
+def test_a_row_with_more_values_than_names_is_refused(prediction, tmp_path):
+    """Such as a number with a comma in it; nothing of a row is cut off."""
+    rows = prediction.to_frame().to_csv(index=False).splitlines()
+    for row in (1, 7, len(rows) - 1):
+        changed = [*rows[:row], rows[row].replace(".", ",", 1), *rows[row + 1 :]]
+        (tmp_path / "p.csv").write_text("\n".join(changed))
+        with pytest.raises(PCNDEError, match=r"line|fields"):
+            read_csv(tmp_path / "p.csv", period=1.0)
+
+
+@pytest.mark.parametrize("row", [0, 1, 2, 7])
+def test_a_row_of_five_million_commas_is_refused_at_once(prediction, tmp_path, row):
+    rows = prediction.to_frame().to_csv(index=False).splitlines()
+    rows[row] += "," * 5_000_000
+    (tmp_path / "p.csv").write_text("\n".join(rows))
+    for read in (read_csv, lambda path: read_columns(path, "time", prediction.time)):
+        with pytest.raises(FileError, match="5000010"):
+            read(tmp_path / "p.csv")
 
 
 @pytest.mark.parametrize("name", ["p.csv", "p.csv.gz"])
