@@ -12,6 +12,9 @@ Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 """Array of 64-bit integers, such as the positions of cases in a data set."""
 
+BoolArray = npt.NDArray[np.bool_]
+"""Array of truth values."""
+
 ComplexArray = npt.NDArray[np.complex128]
 """Array of complex numbers, such as harmonics."""
 

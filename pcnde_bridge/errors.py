@@ -4,6 +4,8 @@ Each message says what is wrong, where, and what to do.  Errors about input are 
 :class:`ValueError`, as users of scikit-learn and numpy expect.
 """
 
+from collections.abc import Iterable
+
 
 class PCNDEError(Exception):
     """Base class of all errors that this package raises intentionally."""
@@ -34,7 +36,19 @@ class EngineUnavailableError(EngineError):
 
 
 class SolveError(EngineError):
-    """A differential equation could not be integrated to the end."""
+    """A differential equation could not be integrated to the end.
+
+    Parameters
+    ----------
+    message : str
+        Text of the error.
+    cases : iterable of int
+        Indices of cases that failed, as far as they are known.
+    """
+
+    def __init__(self, message: str, cases: Iterable[int] = ()) -> None:
+        super().__init__(message)
+        self.cases = tuple(map(int, cases))
 
 
 class MissingExtraError(PCNDEError, ImportError):

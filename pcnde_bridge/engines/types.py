@@ -3,14 +3,16 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, BoolArray, IntArray
 from pcnde_bridge.config import PCNDEConfig
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.errors import SolveError
+
+Result = TypeVar("Result")
 
 OnIteration = Callable[[int, float], None]
 """Callback with an iteration's number, from 1, and its loss; it may raise to stop."""
@@ -41,6 +43,39 @@ def check_start(loss: float, gradient: Array) -> None:
             f"The loss is not finite at the first parameters of the fit (loss {loss}): the "
             "equation diverges there. Check the data's units, or start from another seed."
         )
+
+
+def solve_most(solve: Callable[[IntArray], Result], count: int) -> tuple[Result, BoolArray]:
+    """Solve rows, with another in place of each that fails.
+
+    Parameters
+    ----------
+    solve : callable
+        Takes the indices of rows, always as many.
+    count : int
+        Number of rows.
+
+    Returns
+    -------
+    result : object
+        What ``solve`` returns.
+    failed : array of bool, shape (count,)
+        Rows whose results are those of another row.
+
+    Raises
+    ------
+    SolveError
+        If all rows fail, or it is not known which do.
+    """
+    rows, failed = np.arange(count), np.zeros(count, dtype=bool)
+    while True:
+        try:
+            return solve(rows), failed
+        except SolveError as error:
+            failed[rows[list(error.cases)]] = True
+            if not error.cases or failed.all():
+                raise
+            rows[failed] = np.argmin(failed)
 
 
 class ModelInputs(NamedTuple):

@@ -109,7 +109,8 @@ def _predict_staged(
             raise SolveError(
                 f"The predicted {name} of case {np.argmin(finite)} is not finite "
                 f"({np.count_nonzero(~finite)} of {len(finite)} cases). Check the units of inflow "
-                "and area (mL/s, cm²); the model may not extrapolate so far."
+                "and area (mL/s, cm²); the model may not extrapolate so far.",
+                np.flatnonzero(~finite),
             )
     return solution, None
 

@@ -5,20 +5,24 @@
 where x is the inflow Q_in(t) or the undeformed area S_u(z).
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, BoolArray, IntArray
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.parallel import Workers, each
 from pcnde_bridge._utils.validation import whole
+from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import FIELDS
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.engines.protocol import Engine
+from pcnde_bridge.engines.types import Solution, solve_most
+from pcnde_bridge.errors import InputError, PCNDEWarning, TaskError
 from pcnde_bridge.model.inputs import Inputs
 from pcnde_bridge.model.kinds import kind_of
 from pcnde_bridge.model.pcnde import PCNDE
@@ -40,7 +44,7 @@ class NoiseStudy(Displayed):
     level : float
         σ relative to the largest value of the input.
     samples : int
-        Number of noisy inputs.
+        Number of noisy inputs that were predicted.
     case : Cases
         The case, which is the truth.
     unperturbed, mean, standard_deviation : mapping of str to array of shape (time, z)
@@ -119,8 +123,13 @@ def noise_study(
     ------
     InputError
         If there is not exactly one case, or an argument is invalid.
-    SolveError
-        If the equations diverge for a sample.
+    TaskError
+        If the equations diverge for all samples but one, or without noise.
+
+    Warns
+    -----
+    PCNDEWarning
+        If they diverge for a few samples, which are left out.
     """
     check_single(case, "A noise study needs")
     if noisy not in get_args(NoisyInput):
@@ -140,8 +149,18 @@ def noise_study(
         f"samples from {rows[0]}": (*trained, Inputs(inflow[rows], area[rows], case.grid))
         for rows in np.split(np.arange(count * size), count)
     }
-    predict = kind_of(model.config).predict
-    solutions = [found for found, _ in each(predict, tasks, executor, progress=False)]
+    solutions, lost = zip(*each(_predict_most, tasks, executor, progress=False), strict=True)
+    failed = np.concatenate(lost)
+    settled = exact + np.flatnonzero(~failed[exact:])
+    if failed[:exact].any() or settled.size < 2:
+        raise TaskError("The equations diverge without noise, or for all samples but one.")
+    if settled.size < samples:
+        warnings.warn(
+            f"The equations diverge for {samples - settled.size} of {samples} samples, which are "
+            "left out: mean and standard deviation are those of the others.",
+            PCNDEWarning,
+            stacklevel=2,
+        )
     values = {
         name: np.concatenate(arrays)
         for name, arrays in zip(FIELDS, zip(*solutions, strict=True), strict=True)
@@ -150,12 +169,25 @@ def noise_study(
     return NoiseStudy(
         noisy,
         float(level),
-        samples,
+        settled.size,
         case,
         unperturbed={name: array[0] for name, array in values.items()},
-        mean={name: array[exact:].mean(axis=0) for name, array in values.items()},
-        standard_deviation={k: array[exact:].std(axis=0, ddof=1) for k, array in values.items()},
+        mean={name: array[settled].mean(axis=0) for name, array in values.items()},
+        standard_deviation={k: array[settled].std(axis=0, ddof=1) for k, array in values.items()},
     )
+
+
+def _predict_most(
+    engine: Engine, config: Config, parameters: Any, inputs: Inputs
+) -> tuple[Solution, BoolArray]:
+    """Predict a block of rows; return also those whose results are another row's."""
+    kind = kind_of(config)
+
+    def solve(rows: IntArray) -> Solution:
+        given = inputs.inflow[rows], inputs.area_undeformed[rows], inputs.grid
+        return kind.predict(engine, config, parameters, Inputs(*given))[0]
+
+    return solve_most(solve, len(inputs))
 
 
 def noisy_inputs(

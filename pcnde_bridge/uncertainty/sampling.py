@@ -25,13 +25,14 @@ that gives the narrowest intervals.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
-from pcnde_bridge._typing import Array, ComplexArray, IntArray
+from pcnde_bridge._typing import Array, BoolArray, ComplexArray, IntArray
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_finite, check_shape, counted
 from pcnde_bridge.config import ClosureConfig
@@ -43,8 +44,8 @@ from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.types import ModelInputs, Solution
-from pcnde_bridge.errors import SolveError
+from pcnde_bridge.engines.types import ModelInputs, Solution, solve_most
+from pcnde_bridge.errors import PCNDEWarning, SolveError
 from pcnde_bridge.uncertainty.calibration import (
     Calibration,
     amplitude,
@@ -58,6 +59,7 @@ _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)  # of a standard normal variable
 _TIMES = 25  # for the widths of the wall shear stress
 _NEGLIGIBLE = 1e-12
+_MOST_FAILED = 0.1  # of a case's samples
 _MULTIPLES = 4  # of the losses, and of the wall shear stress
 _NOISES = len(VARIABLES) + 2 * _MULTIPLES
 
@@ -175,11 +177,40 @@ class SampledModel(NamedTuple):
         self, member: Array, shift: Array, inputs: ModelInputs, outlet: ComplexArray | None = None
     ) -> dict[str, Array]:
         """Predict all variables (sample, case, time, z) with shifts (sample, case)."""
+        given = member, shift, inputs, outlet
+        return self._predict_rows(np.arange(shift.size), *given)
+
+    def predict_most(
+        self, member: Array, shift: Array, inputs: ModelInputs, outlet: ComplexArray | None = None
+    ) -> tuple[dict[str, Array], BoolArray]:
+        """Predict as :meth:`predict`; also return which samples failed, (sample, case).
+
+        The values of these are those of another one; there are none if all failed.
+        """
+        given = member, shift, inputs, outlet
+        try:
+            found, failed = solve_most(lambda rows: self._predict_rows(rows, *given), shift.size)
+        except SolveError as error:
+            if not error.cases:
+                raise
+            return {}, np.ones(shift.shape, dtype=bool)
+        return found, failed.reshape(shift.shape)
+
+    def _predict_rows(
+        self,
+        rows: IntArray,
+        member: Array,
+        shift: Array,
+        inputs: ModelInputs,
+        outlet: ComplexArray | None,
+    ) -> dict[str, Array]:
+        """Predict the pairs of sample and case with these indices."""
         parameters, (inflow, area, grid) = self.parameters.with_member(member), inputs
-        times = len(shift), 1
-        repeated = ModelInputs(np.tile(inflow, times), np.tile(area, times), grid)
-        at_end = None if outlet is None else np.tile(outlet, (*times, 1))
-        found = self.closures.predict(parameters, shift.ravel(), repeated, self.config, at_end)
+        case = rows % shift.shape[1]
+        repeated = ModelInputs(inflow[case], area[case], grid)
+        at_end = None if outlet is None else outlet[case]
+        shifts = shift.ravel()[rows]
+        found = self.closures.predict(parameters, shifts, repeated, self.config, at_end)
         shape = *shift.shape, grid.time.size, grid.z.size
         return {name: getattr(found, name).reshape(shape) for name in FIELDS}
 
@@ -259,6 +290,34 @@ def _normal_spread(values: Array) -> Array:
     return np.sqrt(np.tensordot(weights, (values - mean) ** 2, axes=1))
 
 
+def _replace(samples: Mapping[str, Array], failed: BoolArray) -> None:
+    """Put other samples of the same case in place of those that failed, (sample, case).
+
+    Raises
+    ------
+    SolveError
+        If more than a tenth of a case's samples failed.
+    """
+    counts, total = failed.sum(axis=0), len(failed)
+    case = int(counts.argmax())
+    which = f"{counts[case]} of {total} samples of case {case}"
+    if counts[case] > _MOST_FAILED * total:
+        raise SolveError(
+            f"The prediction has been computed, but {which} do not settle: the inputs are too far "
+            "from the training data for intervals. Predict without samples."
+        )
+    warnings.warn(
+        f"{which} do not settle, and others take their place: its intervals may be too narrow. "
+        f"This occurs in {np.count_nonzero(counts)} of {counted(counts.size, 'case')}.",
+        PCNDEWarning,
+        stacklevel=2,
+    )
+    for case in np.flatnonzero(counts).tolist():
+        lost, settled = np.flatnonzero(failed[:, case]), np.flatnonzero(~failed[:, case])
+        for values in samples.values():
+            values[lost, case] = values[np.resize(settled, lost.size), case]
+
+
 def _loss_scales(
     pressure: Array, inputs: ModelInputs, config: ClosureConfig
 ) -> tuple[Array, Array]:
@@ -327,10 +386,16 @@ def sample(
     Raises
     ------
     SolveError
-        If a sample cannot be computed.
+        If more than a tenth of a case's samples cannot be computed.
+
+    Warns
+    -----
+    PCNDEWarning
+        If fewer cannot be computed; others of the same case take their place.
     """
     names = FIELDS if uncertainty.wall_shear_stress.size else VARIABLES
     found = {name: np.empty((len(numbers.member), *mean.flow.shape)) for name in names}
+    failed = np.zeros(numbers.shift.shape, dtype=bool)
     largest = int(np.bincount(numbers.member).max(initial=0))
     for number, member in enumerate(uncertainty.members):
         rows = np.flatnonzero(numbers.member == number)
@@ -338,15 +403,11 @@ def sample(
             continue
         # Repeated up to the same number for each member, so that one shape is compiled.
         rows = np.resize(rows, largest)
-        try:
-            samples = model.predict(member, numbers.shift[rows], inputs, outlet)
-        except SolveError as error:
-            raise SolveError(
-                "The prediction has been computed, but not all of its samples. Of these, each "
-                f"with {counted(len(inputs.inflow), 'case')}, one after the other: {error}"
-            ) from error
-        for name in names:
+        samples, failed[rows] = model.predict_most(member, numbers.shift[rows], inputs, outlet)
+        for name in names if samples else ():
             found[name][rows] = samples[name]
+    if failed.any():
+        _replace(found, failed)
     calibration, z = uncertainty.calibration, inputs.grid.z
     of_losses, of_stress = np.split(numbers.noise[len(VARIABLES) :], 2)
     for name, noise, scale in zip(VARIABLES, numbers.noise, calibration.scale, strict=False):

@@ -33,7 +33,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import ModelInputs
-from pcnde_bridge.errors import FileError, SolveError
+from pcnde_bridge.errors import FileError, PCNDEWarning, SolveError
 from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
 from pcnde_bridge.uncertainty.sampling import RandomNumbers, SampledModel, sample
@@ -340,17 +340,61 @@ def test_predictions_count_time_from_the_models_first_time_point(model):
     assert np.array_equal(late.predict(INFLOW, AREA).time, model.grid.time + 2)
 
 
-def test_a_failed_sample_is_distinguished_from_a_failed_prediction(model, cases):
-    def draws_fail(*arguments):
-        raise SolveError("case 5 does not settle")
+class Unsettled:
+    """Closures that do not settle above a shift."""
 
-    failing = SimpleNamespace(predict=draws_fail)
+    def __init__(self, closures, limit):
+        self.closures, self.limit = closures, limit
+
+    def predict(self, parameters, shift, *arguments):
+        if (shift > self.limit).any():
+            raise SolveError("they do not settle", np.flatnonzero(shift > self.limit))
+        return self.closures.predict(parameters, shift, *arguments)
+
+
+def test_a_sample_that_does_not_settle_is_replaced(model):
+    """By another sample of its case; the others are as they were, bit for bit."""
     inputs = ModelInputs(INFLOW[:2], AREA[:2], model.grid)
     mean = model.engine.closures.predict(model.parameters, np.zeros(2), inputs, model.config)
-    failing_model = SampledModel(failing, model.parameters, model.config)
+    numbers = RandomNumbers.generate(model.uncertainty, 20, 2, np.random.default_rng(0))
+    ordered = np.sort(numbers.shift.ravel())
+
+    def samples(limit):
+        sampled = Unsettled(model.engine.closures, limit), model.parameters, model.config
+        return sample(SampledModel(*sampled), model.uncertainty, mean, inputs, numbers)
+
+    whole = samples(np.inf)
+    with pytest.warns(PCNDEWarning, match=r"^1 of 20 samples of case \d .*in 1 of 2 cases"):
+        found = samples(ordered[-2])
+    lost = numbers.shift == ordered[-1]
+    for name, values in found.items():
+        assert np.array_equal(values[~lost], whole[name][~lost])
+        assert np.isfinite(values).all()
+        assert not np.array_equal(values[lost], whole[name][lost])
+    # Its flow is that of the case's first sample that settles, with its own error.
+    index, case = np.argwhere(lost)[0]
+    other = np.flatnonzero(~lost[:, case])[0]
+    noise = numbers.noise[0, [index, other], case]
+    error = model.uncertainty.calibration.shared_error("flow", inputs.inflow, Z)[case]
+    away = (noise[0] - noise[1]) * error * model.uncertainty.scale[0]
+    expected = found["flow"][other, case] + away
+    np.testing.assert_allclose(found["flow"][index, case], expected, rtol=1e-9)
+    with pytest.raises(SolveError, match=r"computed, but \d+ of 20 samples of case .* without"):
+        samples(ordered[-8])
+    with pytest.raises(SolveError, match=r"but 20 of 20 samples of case 0"):
+        samples(-np.inf)
+
+
+def test_another_error_of_a_sample_is_passed_on(model):
+    def fail(*arguments):
+        raise SolveError("the engine stopped")
+
+    inputs = ModelInputs(INFLOW[:2], AREA[:2], model.grid)
     numbers = RandomNumbers.generate(model.uncertainty, 8, 2, np.random.default_rng(0))
-    with pytest.raises(SolveError, match=r"each with 2 cases, one after the other: case 5 does"):
-        sample(failing_model, model.uncertainty, mean, inputs, numbers)
+    failing = SampledModel(SimpleNamespace(predict=fail), model.parameters, model.config)
+    mean = model.engine.closures.predict(model.parameters, np.zeros(2), inputs, model.config)
+    with pytest.raises(SolveError, match=r"^the engine stopped"):
+        sample(failing, model.uncertainty, mean, inputs, numbers)
 
 
 def test_model_of_the_paper_rejects_other_grids_and_samples(small_cases, toy_config, toy_engine):

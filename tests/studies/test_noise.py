@@ -8,8 +8,9 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import ToyEngine
 
-from pcnde_bridge import PCNDE, InputError
+from pcnde_bridge import PCNDE, InputError, PCNDEWarning, SolveError, TaskError
 from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.studies import (
     noise_study,
@@ -130,3 +131,41 @@ def test_noise_of_a_model_without_pressure(toy_model, hardest):
     study = noise_study(model, hardest, samples=4)
     assert list(study.mean) == ["flow", "area"]
     assert isinstance(study.to_frame(), pd.DataFrame)
+
+
+@pytest.mark.parametrize("lost", [[3], [0, 5, 6]])
+def test_samples_that_cannot_be_solved_are_left_out(toy_model, hardest, lost):
+    """Mean and deviation are those of the others, whatever the blocks."""
+    inflow, area = noisy_inputs(hardest, "inflow", 0.05, 40)
+    bad = inflow[lost]
+    engine = Diverging(toy_model.engine, bad)
+    model = PCNDE(toy_model.config, toy_model.parameters, hardest.grid, engine)
+    with pytest.warns(PCNDEWarning, match=rf"diverge for {len(lost)} of 40 samples"):
+        study = noise_study(model, hardest, samples=40)
+    assert study.samples == 40 - len(lost)
+    rest = np.setdiff1d(np.arange(40), lost)
+    flow = np.array([toy_model.predict(inflow[i], area[i]).flow[0] for i in rest])
+    np.testing.assert_allclose(study.mean["flow"], flow.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(
+        study.standard_deviation["flow"], flow.std(axis=0, ddof=1), rtol=1e-9
+    )
+    with pytest.raises(TaskError, match=r"without noise|cannot be solved"):
+        noise_study(
+            PCNDE(model.config, model.parameters, hardest.grid, Diverging(engine, hardest.inflow)),
+            hardest,
+            samples=4,
+        )
+
+
+class Diverging(ToyEngine):
+    """Toy engine that cannot solve some inflows, and names the first of each batch."""
+
+    def __init__(self, engine, bad):
+        super().__init__()
+        self.bad = bad
+
+    def predict(self, parameters, inputs, *arguments):
+        for case, inflow in enumerate(inputs.inflow):
+            if (inflow == self.bad).all(axis=1).any():
+                raise SolveError("cannot be solved", [case])
+        return super().predict(parameters, inputs, *arguments)

@@ -179,7 +179,8 @@ def in_batches(compute: Callable[[Inputs], Inputs], arrays: StageInputs) -> Stag
                 f"The momentum equation could not be integrated for case {start + failed[0]} "
                 f"({failed.size} of {count} cases failed): the step became too small or a value "
                 "not finite. Check the units of inflow and area (mL/s, cm²) and that they "
-                "resemble the training data."
+                "resemble the training data.",
+                start + failed,
             )
         batches.append(results)
     # Copies, because JAX's own arrays are read-only.

@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -142,7 +143,8 @@ class Julia:
         if kind == "InterruptException":
             return KeyboardInterrupt()
         if kind == "SolveError":
-            return SolveError(self._text(error))
+            text = self._text(error)
+            return SolveError(text, map(int, re.findall(r"case (\d+)", text)))
         failure = EngineError(f"Julia failed: {self._text(error)}")
         failure.__cause__ = RuntimeError(str(error))  # with Julia's stack trace
         return failure

@@ -117,7 +117,8 @@ class JaxClosures(Closures):
                 f"Flow, area and pressure of case {np.argmin(settled)} do not settle in "
                 f"{config.correction.passes} coupling passes. Check the units of inflow and area "
                 "(mL/s, cm²); a stronger waveform or a longer vessel needs more passes "
-                "(correction.passes)."
+                "(correction.passes).",
+                np.flatnonzero(~settled),
             )
         return result
 
