@@ -179,7 +179,7 @@ def read_waveform(content: bytes, name: str, model: PCNDE) -> tuple[Waveform, st
         path = Path(folder, "upload.csv")
         path.write_bytes(content)
         try:
-            period, columns = read_cycle(path, float(grid.time[0]), grid.period)
+            period, columns = read_cycle(path, float(grid.time[0]), math.nan)
         except PCNDEError as error:
             raise InputError(str(error).replace(str(path), name)) from error
     if not model.any_grid and not math.isclose(period, grid.period, rel_tol=1e-6):

@@ -64,7 +64,7 @@ _RANGES = (
 )
 _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
 _GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
-_RESOLVED = 16  # time points that show the shape of a waveform
+_RESOLVED, _FINE = 16, 40  # time points that show the shape of a waveform, and its derivatives
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
 _TRANSPOSED = (
     "the arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
@@ -438,19 +438,21 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
 def _gaps(values: Array, floor: Array) -> Array:
     """Return the gap between the end and the start of each signal over the largest within it.
 
-    A gap is the step to the next time point, or both its distance from a line and from a
-    parabola through those on one side, whichever side is nearer.
+    A gap is the step to the next time point, or its distance from both a line and a parabola
+    through those on one side, or from both polynomials of degree 3 and 4, whichever side is nearer.
     """
     found: list[Array] = []
-    for weights in ((1,), (2, -1), (3, -3, 1)):
+    for weights in ((1,), (2, -1), (3, -3, 1), (4, -6, 4, -1), (5, -10, 10, -5, 1)):
         off = [
             values - sum(w * np.roll(values, side * n, axis=0) for n, w in enumerate(weights, 1))
             for side in (1, -1)
         ]
         jumps = np.minimum(np.abs(off[0]), np.abs(np.roll(off[1], 1, axis=0)))
         found.append(jumps[0] / np.maximum(jumps[len(weights) : -2].max(axis=0), floor))
-    step, line, parabola = found
-    return np.maximum(step, np.minimum(line, parabola))
+    step, line, parabola, cubic, quartic = found
+    gaps = np.maximum(step, np.minimum(line, parabola))
+    # Coarse samples of smooth signals are no polynomials of higher degree.
+    return np.maximum(gaps, np.minimum(cubic, quartic)) if len(values) >= _FINE else gaps
 
 
 def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:

@@ -73,10 +73,10 @@ def read_cycle(
     start : float
         First time point of the model's cycle, s.
     usual_period : float
-        Period of the model's training data, s.
+        Period of the model's training data, s, or NaN; another one must be given.
     period : float, optional
         Length of the cycle, s; a time point at its end, which repeats the first, is left
-        out.  By default the number of time points times their distance.
+        out.  By default the number of time points times their distance, if that is the usual one.
     time_points : int, optional
         Interpolate to this number of equal steps, by :meth:`Waveform.from_samples`.
 
@@ -116,6 +116,13 @@ def read_cycle(
                 f"Leave the last line out, or pass the period (--period {span:g})."
             )
         period = span if closed else span * time.size / (time.size - 1)
+        if not closed and abs(period - usual_period) > 1e-3 * usual_period:
+            raise InputError(
+                f"{path}: {time.size} time points in steps of {steps[0]:g} s are a cycle of "
+                f"{period:g} s, but that of the training data has {usual_period:g} s. Add what is "
+                f"missing, or pass --period {period:g} if it is the whole cycle."
+                f"{_other_unit('time', period, usual_period)}"
+            )
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
             f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."

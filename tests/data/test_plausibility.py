@@ -378,3 +378,13 @@ def test_less_or_more_than_a_cycle_is_refused():
         with pytest.raises(InputError, match=r"not one cycle: flow ends at .* \(point \d\)"):
             check_samples("flow", part, np.arange(len(part)) / 100)
     check_samples("flow", np.concatenate([values, values]), np.arange(200) / 100)
+
+
+@pytest.mark.parametrize("start", [2, 16, 20, 33, 42, 61, 70])
+def test_a_part_of_a_smooth_cycle_is_no_cycle(start):
+    """Also where its ends are close to each other."""
+    values = np.roll(waveform()[:, :1], -start, axis=0)
+    check_samples("flow", values, np.arange(100) / 100)
+    for count in (90, 95):
+        with pytest.raises(InputError, match="it is not one cycle"):
+            check_samples("flow", values[:count], np.arange(count) / 100)

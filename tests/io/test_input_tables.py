@@ -101,7 +101,7 @@ def test_an_end_point_counts_by_the_range_of_each_waveform(tmp_path):
     time = np.arange(101) / 100
     small = 1e3 + 1e-4 * np.sin(6 * time)
     pd.DataFrame({"time": time, "q": small}).to_csv(tmp_path / "q.csv", index=False)
-    assert read_cycle(tmp_path / "q.csv", 0.0, 1.0)[0] == pytest.approx(1.01)
+    assert read_cycle(tmp_path / "q.csv", 0.0, np.nan)[0] == pytest.approx(1.01)
 
 
 @pytest.mark.parametrize(
@@ -232,6 +232,16 @@ def test_a_cycle_begins_where_the_models_does_and_has_no_end_point(tmp_path):
     assert read_cycle(written(1.1 * time, flow), 0.0, 1.0, period=1.155)[0] == 1.155
     with pytest.raises(InputError, match=r"time starts at 0\.5 s, but it must start at 0 s"):
         read_cycle(written(time[:-1] + 0.5, flow[:-1]), 0.0, 1.0)
+
+
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.99])
+def test_a_part_of_a_cycle_needs_its_period(tmp_path, part):
+    time = np.arange(round(100 * part)) / 100
+    path = tmp_path / "q.csv"
+    pd.DataFrame({"time": time, "q": 1 + np.sin(2 * np.pi * time)}).to_csv(path, index=False)
+    with pytest.raises(InputError, match=rf"a cycle of {part:g} s, .* 1 s.*--period {part:g} if"):
+        read_cycle(path, 0.0, 1.0)
+    assert read_cycle(path, 0.0, 1.0, period=part)[0] == part
 
 
 @pytest.mark.parametrize("period", [0.8, 1.0, 1.1])
