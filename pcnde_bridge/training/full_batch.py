@@ -44,11 +44,12 @@ class FullBatchTraining(StagedTraining):
         return [*steps, Step("temporal_pressure"), Step("spatial_pressure")]
 
     def count_iterations(self, _: TrainingState) -> int:
-        """Count the iterations of all steps, if no fit ends early."""
+        """Count the iterations; the fit of the spatial pressure usually ends after 20."""
         settings = self.config.full_batch
         flow = settings.rounds * settings.collocation_iterations + settings.iterations
         flow += (settings.rounds - 1) * settings.later_iterations
-        return flow + 2 * settings.rounds + 2 * settings.pressure_iterations
+        pressure = settings.pressure_iterations + min(settings.pressure_iterations, 20)
+        return flow + 2 * settings.rounds + pressure
 
     def fit_stage(
         self, stage: str, inputs: Any, target: Array, step: Step, state: TrainingState, run: RunFit

@@ -47,8 +47,13 @@ class MinibatchTraining(StagedTraining):
         config, flow = self.config, self.config.flow
         area = config.intermediate_area.iterations + config.fourier_area.iterations
         per_batch = flow.epochs * flow.iterations + flow.epochs // flow.couple_every * area
-        pressure = config.temporal_pressure.iterations + config.spatial_pressure.iterations
-        return len(state.batches) * per_batch + pressure
+        return len(state.batches) * per_batch + self.slow_iterations(state)[0]
+
+    def slow_iterations(self, state: TrainingState) -> tuple[int, float]:
+        """Return the pressure's iterations, which compute all cases instead of a batch."""
+        config = self.config
+        count = config.temporal_pressure.iterations + config.spatial_pressure.iterations
+        return count, len(self.cases) / len(state.batches[0])
 
     def fit_stage(
         self, stage: str, inputs: Any, target: Array, step: Step, state: TrainingState, run: RunFit

@@ -99,7 +99,11 @@ class Procedure(ABC, Generic[State]):
 
     @abstractmethod
     def count_iterations(self, state: State) -> int:
-        """Count the iterations of all steps, if no fit ends early."""
+        """Count the iterations of all steps, as many as a run usually has."""
+
+    def slow_iterations(self, state: State) -> tuple[int, float]:
+        """Return how many iterations at the end take longer, and how many times as long."""
+        return 0, 1.0
 
     @abstractmethod
     def fit(self, step: Step, state: State, recorder: Recorder) -> State:

@@ -3,7 +3,7 @@
 import time
 
 from rich.console import Console
-from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import TextColumn, TimeElapsedColumn
 
 from pcnde_bridge._utils.progress import ProgressDisplay
 from pcnde_bridge.training.history import Iteration
@@ -18,14 +18,32 @@ class TrainingProgress(ProgressDisplay):
     ----------
     total, done : int
         Iterations of the whole run, and iterations completed before it started.
+    slow : tuple of int and float
+        How many iterations at the end take longer, and how many times as long.
     console : rich.console.Console, optional
         Where to write; by default the standard error stream.
     """
 
-    def __init__(self, total: int, done: int = 0, console: Console | None = None) -> None:
-        fields = TextColumn("loss {task.fields[loss]}"), TextColumn("{task.fields[fits]}")
-        columns = (*fields, TimeElapsedColumn(), TextColumn("<"), TimeRemainingColumn())
-        super().__init__("training", total, done, columns, console=console, loss="-", fits="")
+    def __init__(
+        self,
+        total: int,
+        done: int = 0,
+        slow: tuple[int, float] = (0, 1.0),
+        console: Console | None = None,
+    ) -> None:
+        loss, fits, left = (TextColumn(f"{{task.fields[{f}]}}") for f in ("loss", "fits", "left"))
+        columns = (
+            TextColumn("loss"),
+            loss,
+            fits,
+            TimeElapsedColumn(),
+            TextColumn("remaining"),
+            left,
+        )
+        texts = {"loss": "-", "fits": "", "left": "unknown"}
+        super().__init__("training", total, done, columns, console=console, **texts)
+        self._slow = slow
+        self._timed_from: tuple[float, float] | None = None  # time and work of the first iteration
         self._fits, self._converged = 0, 0
         self._begun: set[str] = set()
 
@@ -56,21 +74,36 @@ class TrainingProgress(ProgressDisplay):
         """Count one iteration."""
         self._done += 1
         self._total = max(self._total, self._done)
-        now = time.monotonic()
+        now, left = time.monotonic(), self._remaining()
         stage, loss = iteration.stage.replace("_", " "), f"{iteration.loss:.3e}"
         where = f"{stage}, epoch {iteration.epoch}" if iteration.stage == "flow" else stage
         self._bar.update(self._task, completed=self._done, total=self._total)
-        self._bar.update(self._task, description=where, loss=loss)
+        self._bar.update(self._task, description=where, loss=loss, left=left)
         if not self._is_due(now, _DRAW_EVERY):
             return
         if self._draws:
             self._bar.refresh()
             return
-        # Iterations of an earlier run, and compilation before the first one, do not count.
-        seconds = self._bar.tasks[0].time_remaining
-        left = "unknown" if seconds is None else f"{seconds:.0f} s"
         fits = f"converged {self._converged} of {self._fits} fits, " if self._fits else ""
         self._print(
             f"{where}: iteration {self._done} of {self._total}, loss {loss}, {fits}"
             f"elapsed {now - self._began:.0f} s, remaining {left}"
         )
+
+    def _remaining(self) -> str:
+        """Return the remaining time.
+
+        Iterations of an earlier run, and compilation before the first one, do not count.
+        """
+        now, work = time.monotonic(), self._work(self._done)
+        if self._timed_from is None:
+            self._timed_from = now, work
+        began, before = self._timed_from
+        if work == before:
+            return "unknown"
+        return f"{(now - began) * (self._work(self._total) - work) / (work - before):.0f} s"
+
+    def _work(self, iterations: int) -> float:
+        """Return the time of the first iterations of the run, relative to that of the first."""
+        count, duration = self._slow
+        return iterations + (duration - 1) * max(0, iterations - (self._total - count))

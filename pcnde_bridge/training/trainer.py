@@ -43,7 +43,9 @@ class Session(NamedTuple):
 
 
 @contextmanager
-def training_session(progress: bool | OnIteration, total: int, done: int = 0) -> Iterator[Session]:
+def training_session(
+    progress: bool | OnIteration, total: int, done: int = 0, slow: tuple[int, float] = (0, 1.0)
+) -> Iterator[Session]:
     """Limit BLAS to one thread, handle Ctrl-C, and report progress.
 
     Sums over several threads depend on their number, which worker processes may limit, and
@@ -55,11 +57,13 @@ def training_session(progress: bool | OnIteration, total: int, done: int = 0) ->
         Whether to show a progress bar, or a function called with every iteration.
     total, done : int
         Iterations of all runs, and those done before.
+    slow : tuple of int and float
+        How many iterations at the end take longer, and how many times as long.
     """
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1, user_api="blas"))
         check_interrupt = stack.enter_context(interrupts.watched())
-        bar = stack.enter_context(TrainingProgress(total, done)) if progress is True else None
+        bar = stack.enter_context(TrainingProgress(total, done, slow)) if progress is True else None
         report = bar or progress
 
         def on_iteration(iteration: Iteration) -> None:
@@ -121,8 +125,11 @@ class Trainer(Generic[State]):
         progress : bool or callable
             Whether to show progress, or a function called with every iteration.
         """
-        total = self._procedure.count_iterations(state)
-        with training_session(progress, total, len(state.history)) as self._callbacks:
+        total, slow = (
+            self._procedure.count_iterations(state),
+            self._procedure.slow_iterations(state),
+        )
+        with training_session(progress, total, len(state.history), slow) as self._callbacks:
             return self.run(state)
 
     def start(self, seed: int) -> State:

@@ -85,6 +85,20 @@ def test_a_continued_run_estimates_from_its_own_iterations(clock, monkeypatch):
     assert second.endswith("elapsed 53 s, remaining 24 s")
 
 
+def test_slow_iterations_at_the_end_count_more(clock, monkeypatch):
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(6, slow=(2, 5.0), console=console) as bar:
+        for number in range(1, 7):
+            clock.now += 1.0 if number <= 4 else 5.0
+            bar(record(number))
+    lines = console.file.getvalue().splitlines()
+    assert [line.split("remaining ")[1] for line in lines] == [
+        "unknown",
+        *(f"{seconds} s" for seconds in (12, 11, 10, 5, 0)),
+    ]
+
+
 def test_converged_fits_are_counted(clock, monkeypatch):
     monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     console = log()
