@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 import pandas as pd
 
-from pcnde_bridge import load_cases
+from pcnde_bridge import load_cases, plots
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.evaluation import ResponseSurface, learning_curve
@@ -60,6 +60,7 @@ def main():
     parser.add_argument("--preset", default="physics")
     parser.add_argument("--left-out", action="store_true")
     parser.add_argument("--out", default="few_cases.csv")
+    parser.add_argument("--figure", help="file of the learning curve's figure")
     options = parser.parse_args()
     sizes = [int(size) for size in options.sizes.split(",")]
     tables = {}
@@ -72,6 +73,8 @@ def main():
         pd.concat(tables, names=["cases"]).to_csv(options.out)  # nothing is lost on Ctrl-C
         kind = np.where(table.index.get_level_values(1).str.startswith("random"), "random", "other")
         errors = ["flow", "area", "pressure", "pressure_drop"]
+        if options.figure:
+            plots.learning_curve(table).savefig(options.figure, dpi=130)
         summary = table[errors].groupby([table.index.get_level_values(0), kind])
         print(name, summary.agg(["median", "max"]).round(4).to_string(), sep="\n", flush=True)
 

@@ -5,7 +5,7 @@ writes the paper's figures into files.
 """
 
 from pcnde_bridge.plots.cases import data_set, results, time_and_space
-from pcnde_bridge.plots.errors import box_plots, error_matrix, pointwise_errors
+from pcnde_bridge.plots.errors import box_plots, error_matrix, learning_curve, pointwise_errors
 from pcnde_bridge.plots.studies import (
     fourier_effect,
     landscapes,
@@ -22,6 +22,7 @@ __all__ = [
     "error_matrix",
     "fourier_effect",
     "landscapes",
+    "learning_curve",
     "loss_history",
     "noise",
     "pointwise_errors",

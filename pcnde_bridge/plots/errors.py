@@ -1,4 +1,4 @@
-"""Figures of errors: per case, per grid point, and as box plots."""
+"""Figures of errors: per case, per grid point, as box plots, and over the number of cases."""
 
 from __future__ import annotations
 
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 
 _CELL = 0.34  # size of a matrix cell, inches
 _NARROWEST = 2.6  # width that the titles need, inches
+_LEARNED = {
+    "pressure_drop": "pressure drop",
+    "one_minus_ffr": "1 − FFR",
+    "flow": "flow",
+    "area": "area",
+    "pressure": "pressure",
+    "wall_shear_stress": "wall shear stress",
+}
 # Names that matplotlib gives the statistics of a box.
 _BOX = {"median": "med", "lower": "q1", "upper": "q3", "low": "whislo", "high": "whishi"}
 
@@ -174,4 +182,52 @@ def box_plots(statistics: pd.DataFrame) -> Figure:
     axes[0, 0].set_ylabel("pointwise relative error (%)")
     note = "line: median; box: quartiles; whiskers: within 1.5 box heights; cross: largest"
     figure.supxlabel(note, fontsize=8)
+    return figure
+
+
+def learning_curve(table: pd.DataFrame) -> Figure:
+    """Plot the errors over the number of training cases.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Result of :func:`pcnde_bridge.evaluation.learning_curve`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel for each error: the designed subsets, and median and range of the random ones.
+
+    Raises
+    ------
+    InputError
+        If no fit succeeded.
+    """
+    names = [name for name in _LEARNED if name in table and table[name].notna().any()]
+    if not names:
+        raise InputError("There are no errors to plot: every fit of the learning curve failed.")
+    columns = min(3, len(names))
+    rows = -(-len(names) // columns)
+    figure, axes = style.new_figure(2.8 * columns, 2.3 * rows, rows, columns, sharex=True)
+    errors = 100 * table[names]
+    random = errors.index.get_level_values("subset") != "designed"
+    drawn = errors[random].groupby("size")
+    for axis, name in zip(axes.flat, names, strict=False):
+        designed = errors[~random][name].droplevel("subset")
+        axis.plot(designed, color=style.PREDICTED, marker="o", ms=4, label="designed")
+        if random.any():
+            line = {"color": style.OTHER, "ls": "--", "marker": "s", "ms": 3}
+            axis.plot(drawn[name].median(), label="random: median, range", **line)
+            low, high = drawn[name].min(), drawn[name].max()
+            axis.fill_between(low.index, low, high, color=style.OTHER, alpha=0.2, lw=0)
+        axis.set_title(_LEARNED[name], fontsize=10)
+        axis.set_ylim(bottom=0)
+        axis.set_xscale("log")
+        axis.set_xticks(designed.index, [str(size) for size in designed.index])
+        axis.minorticks_off()
+    for axis in axes.flat[len(names) :]:
+        axis.set_visible(False)
+    axes[0, 0].legend(frameon=False, fontsize=8)
+    figure.supylabel("relative error (%)", fontsize=9)
+    figure.supxlabel("training cases", fontsize=9)
     return figure

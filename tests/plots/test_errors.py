@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from plot_helpers import MMHG, TRUTH, drawn, fits
 
@@ -88,3 +89,23 @@ def test_box_plots(small_cases, predicted):
     assert "whiskers: within 1.5 box heights" in figure.get_supxlabel()
     with pytest.raises(InputError, match="no errors"):
         plots.box_plots(statistics.iloc[:0])
+
+
+def test_learning_curve():
+    subsets = "designed", "random 0", "random 1", "random 2"
+    index = pd.MultiIndex.from_product([[4, 9], subsets], names=["size", "subset"])
+    flow = [0.03, 0.01, 0.05, 0.02, 0.02, 0.04, 0.03, np.nan]  # the last fit failed
+    table = pd.DataFrame({"flow": flow, "area": 0.1, "wall_shear_stress": np.nan}, index=index)
+    figure = fits(plots.learning_curve(table))
+    axis, area = figure.axes
+    assert [a.get_title() for a in (axis, area)] == ["flow", "area"]
+    designed, random = axis.lines
+    np.testing.assert_allclose(designed.get_xydata(), [[4, 3], [9, 2]])
+    np.testing.assert_allclose(random.get_xydata(), [[4, 2], [9, 3.5]])
+    [band] = axis.collections
+    assert band.get_paths()[0].get_extents().extents.tolist() == pytest.approx([4, 1, 9, 5])
+    assert [text.get_text() for text in axis.get_xticklabels()] == ["4", "9"]
+    only = fits(plots.learning_curve(table[table.index.get_level_values(1) == "designed"]))
+    assert len(only.axes[0].lines) == 1
+    with pytest.raises(InputError, match="every fit"):
+        plots.learning_curve(table * np.nan)
