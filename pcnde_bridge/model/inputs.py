@@ -176,8 +176,8 @@ def check_plausible(
     Raises
     ------
     InputError
-        If the mean inflow is negative, the units are wrong or ambiguous, or radii or
-        diameters are given as areas.
+        If the mean inflow is negative, there are several cycles, the units are wrong or
+        ambiguous, or radii or diameters are given as areas.
     """
     inflow, area, grid = inputs.inflow[chosen], inputs.area_undeformed[chosen], inputs.grid
     mean, largest = inflow.mean(axis=1), np.abs(inflow).max(axis=1)
@@ -186,6 +186,8 @@ def check_plausible(
     check_values("the mean of inflow", mean, backward, rule)
     rule = "there is no flow; give the flow rate at the inlet (mL/s) over one cycle"
     check_values("the largest inflow", largest, largest == 0, rule)
+    if "time" in stated and "flow" not in stated:
+        _check_single(inflow)
     sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)
     check_units(sizes, stated, OPTION, unique=True)
     if novelty is None or "area" in stated:
@@ -262,6 +264,19 @@ def _check_open(inflow: Array) -> None:
             "The last time point of the inflow repeats the first: leave it out, inflow[..., :-1]. "
             "If it belongs to the cycle, pass period= to a model of the preset physics."
         )
+
+
+def _check_single(inflow: Array) -> None:
+    """Raise if inflows, (case, time), have several equal cycles."""
+    size = np.ptp(inflow, axis=1, keepdims=True)
+    for count in range(2, 6):
+        steps, rest = divmod(inflow.shape[1], count)
+        repeated = np.abs(inflow - np.roll(inflow, steps, axis=1)) < 0.01 * size
+        if rest == 0 and repeated.all():
+            raise InputError(
+                f"The inflow repeats itself {count} times: give one cycle, inflow[..., :{steps}]. "
+                "If it is one, pass period= to a model of the preset physics, or units='cgs'."
+            )
 
 
 def _rows(name: str, array: Array, length: int, noun: str) -> Array:

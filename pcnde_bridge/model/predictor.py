@@ -252,11 +252,13 @@ class Predictor(Displayed, ABC):
                     stacklevel=3,
                 )
         outside = np.ones(len(inputs), dtype=bool) if novelty is None else novelty > EDGE
-        if outside.any() and not isinstance(inflow, Cases):
+        # The novelty of a steady inflow does not depend on the period.
+        other = not 0.2 < inputs.grid.period / self.grid.period < 5
+        if (other or outside.any()) and not isinstance(inflow, Cases):
             _, z, period, units = others
             stated = set(stated_units(units))
             stated |= {name for name, value in (("z", z), ("time", period)) if value is None}
-            check_plausible(inputs, outside, stated, self.novelty)
+            check_plausible(inputs, outside | other, stated, self.novelty)
         if novelty is not None and outside.any():
             worst = int(novelty.argmax())
             beyond = {name: score[worst] for name, score in scores.items() if score[worst] > EDGE}

@@ -146,6 +146,25 @@ def test_a_repeated_end(physics_model, small_model):
         small_model.predict(np.append(flow, flow[0]), VESSELS[0])
 
 
+def test_a_period_in_milliseconds_is_found_for_a_steady_inflow(physics_model, physics_cases):
+    """Its distance from the training data does not depend on the period."""
+    inflow, area = physics_cases.inflow.mean(axis=1, keepdims=True), physics_cases.area_undeformed
+    given = np.repeat(inflow, 32, axis=1)[:1], area[:1]
+    assert physics_model.predict(*given, period=1.0).novelty < 1
+    with pytest.raises(InputError, match=r"recording is 1000 s.*--units time=ms"):
+        physics_model.predict(*given, period=1000.0)
+    found = physics_model.predict(*given, period=1000.0, units={"time": "ms"})
+    assert np.array_equal(found.time, np.arange(32) / 32)
+
+
+def test_several_cycles_are_no_cycle(physics_model, physics_cases):
+    inflow, area = physics_cases.inflow[0], physics_cases.area_undeformed[0]
+    for count in (2, 3):
+        with pytest.raises(InputError, match=rf"itself {count} times: give one .* :32\]"):
+            physics_model.predict(np.tile(inflow, count), area)
+    assert physics_model.predict(np.tile(inflow, 2), area, period=2.0, units="cgs").period == 2.0
+
+
 def test_an_ensemble_is_the_advice_where_there_are_no_samples(small_model, small_cases):
     with pytest.raises(InputError, match=r"fit an ensemble \(Ensemble.fit, pcnde fit --m"):
         small_model.predict(small_cases, samples=8)
