@@ -1,5 +1,6 @@
 """Known units and their conversion to CGS."""
 
+import re
 from collections.abc import Mapping
 
 from pcnde_bridge.data.variables import MMHG
@@ -68,3 +69,9 @@ def factors_to_cgs(units: Mapping[str, str]) -> dict[str, float]:
     """Return the factor to CGS of every quantity; quantities without a unit are in CGS."""
     unit = {**SYSTEMS["cgs"], **units}
     return {name: FACTORS[name][unit[name]] for name in FACTORS}
+
+
+def usual_spelling(unit: str) -> str:
+    """Return ``cm^3/s`` for ``cm3/s``, ``cm³/s`` or ``cm**3 / s``, and ``mL/s`` for ``ml/s``."""
+    plain = "".join(unit.split()).replace("²", "2").replace("³", "3").replace("**", "^")
+    return re.sub(r"\b(m?)l\b", r"\1L", re.sub(r"(?<=[a-z])(?=\d)", "^", plain))

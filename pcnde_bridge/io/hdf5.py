@@ -1,6 +1,5 @@
 """HDF5 files of other programs with arrays of flow, area, pressure and wall shear stress."""
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Unpack
@@ -14,7 +13,7 @@ from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
-from pcnde_bridge.data.units import FACTORS, stated_units
+from pcnde_bridge.data.units import FACTORS, stated_units, usual_spelling
 from pcnde_bridge.data.variables import FIELDS, UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
@@ -113,7 +112,7 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for name, text in units.items():
         quantity = {"area_undeformed": "area", "period": "time"}.get(name, name)
-        unit = _usual_spelling(text)
+        unit = usual_spelling(text)
         if not unit or quantity in stated:
             continue
         if unit not in FACTORS[quantity]:
@@ -124,12 +123,6 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
         if found.setdefault(quantity, unit) != unit:
             raise InputError(f"{name} is in {unit}, but there is also {found[quantity]}.")
     return found
-
-
-def _usual_spelling(unit: str) -> str:
-    """Return ``cm^3/s`` for ``cm3/s``, ``cm³/s`` or ``cm**3 / s``, and ``mL/s`` for ``ml/s``."""
-    plain = "".join(unit.split()).replace("²", "2").replace("³", "3").replace("**", "^")
-    return re.sub(r"\b(m?)l\b", r"\1L", re.sub(r"(?<=[a-z])(?=\d)", "^", plain))
 
 
 def _vessels(

@@ -13,13 +13,20 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.validation import check_increasing, listed, naming
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.plausibility import check_samples
-from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs, stated_units
+from pcnde_bridge.data.units import (
+    FACTORS,
+    SYSTEMS,
+    factors_to_cgs,
+    stated_units,
+    usual_spelling,
+)
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.io.tables import first_line, line_of, numbers, read_frame
 
 _SAME = 1e-6  # of a step, a range or an axis
 _AXES = {"time": ("time", "t"), "z": ("z", "x", "s", "distance", "position", "path")}
+_SPEEDS = "cm/s", "mm/s", "m/s"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
@@ -46,10 +53,26 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
         raise InputError(
             f"{path} gives {axis} in {unit}: call it {axis}, pass --units {axis}={unit}."
         )
+    for column in frame.columns[1:]:
+        _check_unit(path, str(column), "flow" if axis == "time" else "area")
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
     values = found.iloc[:, 0].to_numpy()
     inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
-    return values, (1 if inwards else -1) * found.iloc[:, 1:]
+    cases = (1 if inwards else -1) * found.iloc[:, 1:]
+    return values, cases.rename(columns=lambda name: str(name).strip())
+
+
+def _check_unit(path: StrPath, column: str, quantity: str) -> None:
+    """Raise if the name of a column ends with a unit other than that in CGS, as Q (L/min)."""
+    if (found := re.search(r"[(\[]([^()\[\]]+)[)\]]$", column.strip())) is None:
+        return
+    unit = usual_spelling(found[1])
+    known = {*_SPEEDS, *(name for units in FACTORS.values() for name in units)}
+    if unit in known and FACTORS[quantity].get(unit) != 1:
+        raise InputError(
+            f"{path}, column {column}: {quantity} is expected. If it is, call it "
+            f"{column[: found.start()].strip()} and state its unit (--units {quantity}={unit})."
+        )
 
 
 def _rows(columns: pd.DataFrame) -> Array:
@@ -115,14 +138,7 @@ def read_cycle(
                 f"{path}, line {line_of(path, time.size - 1)}: the cycle's end repeats its start. "
                 f"Leave the last line out, or pass the period (--period {span:g})."
             )
-        period = span if closed else span * time.size / (time.size - 1)
-        if not closed and abs(period - usual_period) > 1e-3 * usual_period:
-            raise InputError(
-                f"{path}: {time.size} time points in steps of {steps[0]:g} s are a cycle of "
-                f"{period:g} s, but that of the training data has {usual_period:g} s. Add what is "
-                f"missing, or pass --period {period:g} if it is the whole cycle."
-                f"{_other_unit('time', period, usual_period)}"
-            )
+        period = span if closed else _period_of(path, time, usual_period)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
             f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."
@@ -147,6 +163,24 @@ def read_cycle(
             "or in Python a Waveform.from_samples(flow, time, period)."
         )
     return period, columns
+
+
+def _period_of(path: StrPath, time: Array, usual: float) -> float:
+    """Return the length of a cycle without its end point, which must be the usual one."""
+    span, steps = float(time[-1] - time[0]), np.diff(time)
+    period = span * time.size / (time.size - 1)
+    if abs(period - usual) > 1e-3 * usual:
+        advice = "Add what is missing, or"
+        if abs(span - usual) < 1e-3 * steps.min():
+            advice = f"If it includes the cycle's end, pass --period {span:g}; or"
+        raise InputError(
+            f"{path}: {time.size} time points in steps of {steps[0]:g} s are a cycle of {period:g} "
+            f"s, but that of the training data has {usual:g} s. {advice} pass --period {period:g} "
+            f"if it is the whole cycle.{_other_unit('time', period, usual)}"
+        )
+    # The mean of unequal steps says little about the last one.
+    unequal = np.ptp(steps) > 1e-3 * steps.min()
+    return usual if unequal and not math.isnan(usual) else period
 
 
 def read_candidates(
@@ -360,10 +394,12 @@ def read_inputs(
         s_u = read_columns(area, "z", grid.z, factor["z"], interpolate=interpolate)
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
-        alone = sorted(set(by_inflow) ^ set(by_area))
+        folded = {name.casefold(): name for name in by_inflow}
+        s_u.columns = pd.Index([folded.get(name.casefold(), name) for name in by_area])
+        alone = sorted(set(by_inflow) ^ set(s_u.columns))
         if not alone:
             s_u = s_u[q.columns]
-        elif set(by_inflow) & set(by_area):
+        elif set(by_inflow) & set(s_u.columns):
             raise InputError(
                 f"{inflow} and {area} have some names of cases in common, but {listed(alone)} only "
                 "one of them: use the same names, or none in common to pair columns by position."

@@ -244,6 +244,54 @@ def test_a_part_of_a_cycle_needs_its_period(tmp_path, part):
     assert read_cycle(path, 0.0, 1.0, period=part)[0] == part
 
 
+def test_an_end_point_that_is_nearly_the_start_is_suggested(tmp_path):
+    time = np.linspace(0, 1, 41)
+    flow = 1 + np.sin(2 * np.pi * time - 0.7) + 1e-3 * time
+    pd.DataFrame({"time": time, "q": flow}).to_csv(tmp_path / "q.csv", index=False)
+    with pytest.raises(InputError, match=r"includes the cycle's end, pass --period 1; or pass"):
+        read_cycle(tmp_path / "q.csv", 0.0, 1.0)
+
+
+def test_a_missing_row_does_not_change_the_period(tmp_path):
+    """Without it the mean step is another one."""
+    time = np.delete(np.arange(100) / 100, 40)
+    frame = pd.DataFrame({"time": time, "q": 1.2 + np.sin(2 * np.pi * time)})
+    frame.to_csv(tmp_path / "q.csv", index=False)
+    assert read_cycle(tmp_path / "q.csv", 0.0, 1.0, time_points=50)[0] == 1.0
+
+
+@pytest.mark.parametrize("names", [("B", "A"), (" b", "a "), ("b", "a")])
+def test_columns_are_paired_by_names_in_any_case_and_with_blanks(tmp_path, names):
+    pd.DataFrame({"time": TIME, "a": 1.0, "b": 2.0}).to_csv(tmp_path / "q.csv", index=False)
+    table = pd.DataFrame({"z": GRID.z, names[0]: 0.2, names[1]: 0.1})
+    table.to_csv(tmp_path / "s.csv", index=False)
+    found = read_inputs(tmp_path / "q.csv", tmp_path / "s.csv", GRID, any_grid=False)
+    assert found.inflow[:, 0].tolist() == [1.0, 2.0]
+    assert found.area_undeformed[:, 0].tolist() == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("axis", "column", "message"),
+    [
+        ("time", "a (L/min)", r"call it a and state its unit \(--units flow=L/min\)"),
+        ("time", "Q [ml/min]", r"call it Q and .*--units flow=mL/min"),
+        ("time", "Q (cm/s)", r"column Q \(cm/s\): flow is expected"),
+        ("time", "patient (1)", None),
+        ("time", "Q (cm³/s)", None),
+        ("z", "S (mm2)", r"call it S and .*--units area=mm\^2"),
+        ("z", "d (mm)", r"column d \(mm\): area is expected"),
+    ],
+)
+def test_units_in_the_names_of_columns(tmp_path, axis, column, message):
+    expected = {"time": TIME, "z": GRID.z}[axis]
+    pd.DataFrame({axis: expected, column: 1.0}).to_csv(tmp_path / "a.csv", index=False)
+    if message is None:
+        assert list(read_columns(tmp_path / "a.csv", axis, expected)) == [column]
+        return
+    with pytest.raises(InputError, match=message):
+        read_columns(tmp_path / "a.csv", axis, expected)
+
+
 @pytest.mark.parametrize("period", [0.8, 1.0, 1.1])
 def test_an_end_point_is_found_whatever_the_period(tmp_path, period):
     time = np.linspace(0, period, 81)
