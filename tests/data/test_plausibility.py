@@ -199,6 +199,28 @@ def test_rigid_walls_in_other_units_are_refused(diameter, name, factor):
         Cases(**{**still, name: factor * still[name]})
 
 
+@pytest.mark.parametrize("rigid", [False, True])
+@pytest.mark.parametrize("diameter", [0.15, 0.3, 0.4, 2.5, 3.0])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_radii_and_diameters_in_place_of_areas_are_refused(diameter, rigid, factor):
+    fields = artery(diameter, 20.0, 10.0, 0.9, 1.2e5, rigid=rigid, shear=None)
+    Cases(**fields)
+    for name in ("area", "area_undeformed"):
+        fields[name] = factor * np.sqrt(fields[name] / np.pi)
+    with pytest.raises(InputError, match=r"CGS units"):
+        Cases(**fields)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2])
+def test_half_and_twice_the_flow_are_refused(factor):
+    """The growth of the volume alone does not tell."""
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, shear=None)
+    with pytest.raises(InputError, match=r"CGS units.* the density by pressures and accelerations"):
+        Cases(**{**fields, "flow": factor * fields["flow"]})
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, shear=None, drop=False)
+    Cases(**{**fields, "flow": factor * fields["flow"]})
+
+
 def test_cases_that_are_ambiguous_are_refused():
     fields = artery(0.3, 14.0, 33.0, 0.9, 1.2e5, rigid=True, shear=None, drop=False)
     message = "ambiguous: .*, and with z in mm: convert the arrays to CGS units; if they are CGS, "

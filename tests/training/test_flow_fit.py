@@ -115,7 +115,8 @@ def elastic_cases():
     integral = np.cumsum(np.diff(z) * (filling[..., 1:] + filling[..., :-1]) / 2, axis=2)
     flow = np.repeat(1.5 + 0.5 * np.sin(angle), 21, axis=2)
     flow[..., 1:] -= integral / 0.5  # so that â is one half
-    return Cases(flow, area, 1e5 * flow, s_u, t, z, period=1.0)
+    pressure = 1e5 * flow[..., :1] * np.ones(21)
+    return Cases(flow, area, pressure, s_u, t, z, period=1.0)
 
 
 @pytest.mark.parametrize(("anchor", "cycles"), [("last_time_point", 3), ("last_cycle", 2)])
