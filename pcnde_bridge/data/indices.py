@@ -19,7 +19,7 @@ from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.validation import check_values, real_array
 from pcnde_bridge.data.stenosis import NO_STENOSIS, diameter, measuring_positions, throats
 from pcnde_bridge.data.units import FACTORS
-from pcnde_bridge.data.variables import FIELDS
+from pcnde_bridge.data.variables import FIELDS, MMHG
 from pcnde_bridge.errors import InputError
 
 Position = npt.ArrayLike | None
@@ -347,12 +347,14 @@ class VesselQuantities(Displayed):
             it is a label); ``positions``: "stenosis", "whole vessel" (there is no stenosis) or
             "given"; ``proximal`` and ``distal`` (cm); ``mean_flow`` and ``peak_flow`` at the
             proximal position (mL/s); ``peak_velocity`` (cm/s) and ``peak_reynolds``, the
-            largest along the vessel; and, if there is a pressure, ``mean_drop_mmHg`` and
-            ``peak_drop_mmHg`` (see :meth:`pressure_drop`), ``ffr`` (:meth:`ffr`) and
-            ``resistance`` (dyn·s/cm⁵, :meth:`stenosis_resistance`).  If there is a wall shear
-            stress, ``peak_wss`` (dyn/cm²) and ``peak_wss_z`` (cm), see
-            :meth:`peak_wall_shear_stress`, and ``peak_tawss`` (dyn/cm²), the largest
-            :meth:`time_averaged_wall_shear_stress` along the vessel.
+            largest along the vessel; and, if there is a pressure, ``mean_pressure_mmHg``,
+            ``systolic_mmHg`` and ``diastolic_mmHg`` (mean, largest and smallest pressure at the
+            proximal position), ``mean_drop_mmHg`` and ``peak_drop_mmHg`` (see
+            :meth:`pressure_drop`), ``ffr`` (:meth:`ffr`) and ``resistance`` (dyn·s/cm⁵,
+            :meth:`stenosis_resistance`).  If there is a wall shear stress, ``peak_wss``
+            (dyn/cm²) and ``peak_wss_z`` (cm), see :meth:`peak_wall_shear_stress`, and
+            ``peak_tawss`` (dyn/cm²), the largest :meth:`time_averaged_wall_shear_stress` along
+            the vessel.
 
         Raises
         ------
@@ -377,6 +379,10 @@ class VesselQuantities(Displayed):
         found["peak_velocity"] = self.velocity().max(axis=(1, 2))
         found["peak_reynolds"] = self.reynolds().max(axis=(1, 2))
         if self.pressure is not None:
+            upstream = values_at(self.pressure, self.z, proximal) / MMHG
+            found["mean_pressure_mmHg"] = upstream.mean(axis=1)
+            found["systolic_mmHg"] = upstream.max(axis=1)
+            found["diastolic_mmHg"] = upstream.min(axis=1)
             drop = self.pressure_drop(proximal, distal, "mmHg")
             found |= {"mean_drop_mmHg": drop.mean(axis=1), "peak_drop_mmHg": drop.max(axis=1)}
             found["ffr"] = self.ffr(proximal, distal)

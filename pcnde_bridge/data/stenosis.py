@@ -1,12 +1,14 @@
 """Stenosis of a vessel: the area without it, its throat, and positions beyond its ends."""
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge.errors import PCNDEWarning
 
 NO_STENOSIS = 0.99
 """Limit of the smallest S_u over the healthy area: a vessel above it has no stenosis."""
@@ -55,12 +57,56 @@ def throats(z: Array, area_undeformed: Array) -> tuple[npt.NDArray[np.intp], Arr
     return ratio.argmin(axis=1), ratio.min(axis=1)
 
 
+def ends(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
+    """Return where the narrowest stenosis begins and ends, cm, each of shape (case,).
+
+    It reaches from its throat to the first point on either side with at least 99.9 % of
+    :func:`healthy_area`.  A vessel without a stenosis has its own ends.
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+    healthy = healthy_area(z, area_undeformed)
+    points, ratios = throats(z, area_undeformed)
+    start, end = np.full(len(points), z[0]), np.full(len(points), z[-1])
+    for case in np.flatnonzero(ratios <= NO_STENOSIS):
+        outside = np.flatnonzero(area_undeformed[case] >= _HEALTHY * healthy[case])
+        # The end points of the vessel are always outside.
+        start[case] = z[outside[outside < points[case]][-1]]
+        end[case] = z[outside[outside > points[case]][0]]
+    return start, end
+
+
+def check_length(z: Array, area_undeformed: Array, length: float) -> None:
+    """Warn if the stenosis of a case is much shorter or longer than a formula's L_s, cm.
+
+    Warns
+    -----
+    PCNDEWarning
+        If a length found by :func:`ends` differs from L_s by more than half of it.
+    """
+    start, end = ends(z, area_undeformed)
+    found = end - start
+    _, ratios = throats(z, area_undeformed)
+    other = np.flatnonzero((ratios <= NO_STENOSIS) & (np.abs(found - length) > length / 2))
+    if other.size:
+        case = int(other[0])
+        warnings.warn(
+            f"The stenosis of case {case} is {found[case]:.2g} cm long, but the formula of the "
+            f"pressure loss has L_s = {length:g} cm: set stenosis_length to that of the vessels.",
+            PCNDEWarning,
+            stacklevel=3,
+        )
+
+
 def measuring_positions(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
     """Return the positions between which the drop of the narrowest stenosis is taken, cm.
 
-    A narrowing reaches from its throat to the first point on either side with at least
-    99.9 % of :func:`healthy_area`.  The positions are one healthy diameter beyond its ends,
-    but within the vessel.  In a vessel without a stenosis, they are the vessel's ends.
+    The positions are one healthy diameter beyond its :func:`ends`, but within the vessel.
 
     Parameters
     ----------
@@ -74,14 +120,8 @@ def measuring_positions(z: Array, area_undeformed: Array) -> tuple[Array, Array]
     proximal, distal : array of shape (case,)
         Positions upstream and downstream of the stenosis.
     """
-    healthy = healthy_area(z, area_undeformed)
-    points, ratios = throats(z, area_undeformed)
-    proximal, distal = np.full(len(points), z[0]), np.full(len(points), z[-1])
-    for case in np.flatnonzero(ratios <= NO_STENOSIS):
-        throat = points[case]
-        outside = np.flatnonzero(area_undeformed[case] >= _HEALTHY * healthy[case])
-        margin = diameter(healthy[case, throat])
-        # The end points of the vessel are always outside.
-        proximal[case] = max(z[0], z[outside[outside < throat][-1]] - margin)
-        distal[case] = min(z[-1], z[outside[outside > throat][0]] + margin)
-    return proximal, distal
+    points, _ = throats(z, area_undeformed)
+    healthy = healthy_area(z, area_undeformed)[np.arange(len(points)), points]
+    start, end = ends(z, area_undeformed)
+    margin = diameter(healthy)
+    return np.maximum(z[0], start - margin), np.minimum(z[-1], end + margin)

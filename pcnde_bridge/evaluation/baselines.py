@@ -24,7 +24,7 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
 from pcnde_bridge.data.indices import poiseuille_wall_shear_stress, pressure_drop
-from pcnde_bridge.data.stenosis import healthy_area, measuring_positions, throats
+from pcnde_bridge.data.stenosis import check_length, healthy_area, measuring_positions, throats
 from pcnde_bridge.engines.shared_terms import rate as rate_of
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
@@ -173,6 +173,7 @@ class StenosisLoss(Unchanged):
         """Predict the inflow, the undeformed area and the loss; see :class:`Baseline`."""
         found = super().predict(cases)
         flow, rate = cases.inflow, rate_of(cases.inflow, cases.period)
+        check_length(cases.z, cases.area_undeformed, self.stenosis_length)
         drop = self.loss(flow, rate, *_areas(cases), self.stenosis_length)
         return found | {"pressure": found["pressure"] + _upstream(drop, cases)}
 

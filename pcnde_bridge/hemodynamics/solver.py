@@ -147,7 +147,8 @@ class Tube1D(TubeSettings):
         z : array_like, shape (n_points,), optional
             Equally spaced points from the inlet to the outlet, cm, of given areas.
         stenoses : sequence of sequences of Stenosis, n_cases
-            Stenoses, in given areas, in which the Seeley–Young drop acts; none by default.
+            Stenoses, in given areas, in which the Seeley–Young drop acts.  By default there are
+            none: the pressure lost behind a narrowing is missing then.
             Position, length and blockage are used; S_D is S_u at the last point before.
         initial_pressure : float or array_like of shape (n_cases,), optional
             Pressure at rest, in the vessel and in the capacitances of the outlet,

@@ -136,7 +136,8 @@ def read_cycle(
         if closed and Path(path).suffix.lower() not in (".flow", ".dat"):
             raise InputError(
                 f"{path}, line {line_of(path, time.size - 1)}: the cycle's end repeats its start. "
-                f"Leave the last line out, or pass the period (--period {span:g})."
+                f"Leave the last line out, or pass the period (--period {span:g}); if the cycle "
+                "goes on after it, pass the period of the whole cycle."
             )
         period = span if closed else _period_of(path, time, usual_period)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():

@@ -18,7 +18,7 @@ from pcnde_bridge.config import ClosureConfig, Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import stated_units
-from pcnde_bridge.data.variables import FIELDS
+from pcnde_bridge.data.variables import FIELDS, MMHG
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.protocol import Engine
@@ -35,6 +35,9 @@ from pcnde_bridge.uncertainty.sampling import RandomNumbers, Uncertainty
 
 Facts = Mapping[str, Any]
 Arrays = dict[str, AnyArray]
+
+_USUAL_PRESSURE = 50, 150
+"""Usual mean pressures of arteries, mmHg."""
 
 
 class Predictor(Displayed, ABC):
@@ -141,7 +144,8 @@ class Predictor(Displayed, ABC):
         OutsideTrainingWarning
             If an input lies outside the training data; the message names the quantities.
         PCNDEWarning
-            If an area has kinks or noise, to which a model of the preset ``physics`` is sensitive.
+            If an area has kinks or noise, to which a model of the preset ``physics`` is sensitive,
+            or if the mean pressure at the inlet is unusual for an artery.
 
         Raises
         ------
@@ -151,7 +155,9 @@ class Predictor(Displayed, ABC):
             If the equations diverge for an input.
         """
         given = inflow, area_undeformed, z, period, units
-        return self._solve(self._prepare(None, samples, seed, outlet, *given))
+        prediction = self._solve(self._prepare(None, samples, seed, outlet, *given))
+        _warn_of_pressure(prediction, outlet)
+        return prediction
 
     def predict_batches(
         self,
@@ -206,14 +212,17 @@ class Predictor(Displayed, ABC):
         """
         size = self._batch if batch is None else whole("batch", batch, 1)
         given = inflow, area_undeformed, z, period, units
-        return self._each_batch(self._prepare(size, samples, seed, outlet, *given), size)
+        return self._each_batch(self._prepare(size, samples, seed, outlet, *given), size, outlet)
 
-    def _each_batch(self, inputs: Inputs, size: int) -> Iterator[Prediction]:
+    def _each_batch(self, inputs: Inputs, size: int, outlet: Outlet | None) -> Iterator[Prediction]:
+        warned = False
         for start in range(0, len(inputs), size):
             try:
-                yield self._solve(inputs.select(slice(start, start + size)))
+                prediction = self._solve(inputs.select(slice(start, start + size)))
             except SolveError as error:
                 raise SolveError(f"In the batch that starts at case {start}: {error}") from error
+            warned = warned or _warn_of_pressure(prediction, outlet, start)
+            yield prediction
 
     def _prepare(
         self, batch: int | None, samples: int, seed: int, outlet: Outlet | None, *given: Any
@@ -412,6 +421,31 @@ class Predictor(Displayed, ABC):
     @abstractmethod
     def _from_parts(cls, facts: Facts, arrays: Arrays, engine: Engine) -> Self:
         """Create a model or ensemble; raise any error if a part is missing or does not fit."""
+
+
+def _warn_of_pressure(prediction: Prediction, outlet: Outlet | None, first: int = 0) -> bool:
+    """Warn, and return True, if the mean pressure at the inlet is unusual for an artery.
+
+    Inside the training data, pressures are usual for the training's vessels, unless an outlet is
+    given.
+    """
+    if prediction.pressure is None:
+        return False
+    mean = prediction.pressure[..., 0].mean(axis=1) / MMHG
+    low, high = _USUAL_PRESSURE
+    new = outlet is not None or prediction.novelty is None or prediction.novelty > EDGE
+    unusual = np.flatnonzero(((mean < low) | (mean > high)) & new)
+    if not unusual.size:
+        return False
+    case = int(unusual[0])
+    warnings.warn(
+        f"The mean pressure at the inlet of case {first + case} is {mean[case]:.0f} mmHg; {low} to "
+        f"{high} mmHg are usual in arteries. FFR depends on it, and the outlet determines it: "
+        "give the vessel's own (outlet, --outlet).",
+        PCNDEWarning,
+        stacklevel=3,
+    )
+    return True
 
 
 def predict(model: Predictor, cases: Cases, outlet: Outlet | None = None) -> Prediction:

@@ -9,6 +9,7 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.stenosis import check_length
 from pcnde_bridge.hemodynamics import pressure_losses
 from pcnde_bridge.model.metrics import case_table, reference_of, relative_error
 
@@ -67,7 +68,7 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
     cases : Cases
         The truth.
     physics : Physics
-        Blood and stenosis: ``model.config.physics``.
+        Blood and stenosis: ``model.config.physics``, with the ``stenosis_length`` of the cases.
 
     Raises
     ------
@@ -75,6 +76,7 @@ def pressure_drops(pressure: Array, cases: Cases, physics: Physics = _PHYSICS) -
         If the pressure has another shape than the cases.
     """
     reference_of("pressure", pressure, cases)
+    check_length(cases.z, cases.area_undeformed, physics.stenosis_length)
     start, length = cases.z[0], cases.z[-1] - cases.z[0]
     first, second = (
         int(np.abs(cases.z - start - fraction * length).argmin()) for fraction in (1 / 3, 2 / 3)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from helpers import case_arguments
 
-from pcnde_bridge import Cases, InputError
+from pcnde_bridge import Cases, InputError, PCNDEWarning
 from pcnde_bridge.data.checks import UnitsWarning
 from pcnde_bridge.data.indices import reynolds_number
-from pcnde_bridge.data.stenosis import measuring_positions
+from pcnde_bridge.data.stenosis import check_length, ends, measuring_positions
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 
 TIME, Z = np.arange(4) / 4, np.linspace(0.0, 4.0, 5)
@@ -86,6 +88,8 @@ def test_indices_by_hand():
     assert (row["geometry"], row["waveform"], row["blockage"]) == (2, 0, 0)
     assert (row["positions"], row["proximal"], row["distal"]) == ("whole vessel", 0, 4)
     assert (row["mean_flow"], row["peak_flow"], row["peak_velocity"]) == (2, 4, 32)
+    upstream = row["systolic_mmHg"], row["diastolic_mmHg"], row["mean_pressure_mmHg"]
+    assert upstream == pytest.approx([1e5 / MMHG] * 3, rel=1e-14)
     assert row["mean_drop_mmHg"] == pytest.approx(3e3 / MMHG, rel=1e-14)
     assert row["peak_drop_mmHg"] == pytest.approx(6e3 / MMHG, rel=1e-14)
     assert row["ffr"] == pytest.approx(0.97, rel=1e-14)
@@ -166,3 +170,18 @@ def test_wall_shear_stress_by_hand():
         plain.time_averaged_wall_shear_stress()
     with pytest.raises(InputError, match=r"'mmHg'; use one of \['dyn/cm\^2', 'Pa'\]"):
         cases.peak_wall_shear_stress("mmHg")
+
+
+def test_a_length_that_is_not_that_of_the_stenosis_is_reported():
+    z = np.linspace(0.0, 4.0, 201)
+    stenosed = Vessel((Stenosis(0.6, 2.0, 1.0),), length=4.0).area_undeformed(z)
+    areas = np.stack([np.full(201, 0.125), stenosed])
+    start, end = ends(z, areas)
+    np.testing.assert_allclose(start, [0.0, 1.5], atol=0.03)
+    np.testing.assert_allclose(end, [4.0, 2.5], atol=0.03)
+    with pytest.warns(PCNDEWarning, match=r"case 1 is 1 cm long.*L_s = 0\.5 cm"):
+        check_length(z, areas, 0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_length(z, areas, 1.0)
+        check_length(z, areas[:1], 0.5)  # there is no stenosis

@@ -34,6 +34,7 @@ from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.parameters import initial_parameters
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import FileError, PCNDEWarning, SolveError
+from pcnde_bridge.hemodynamics.outlet import Windkessel
 from pcnde_bridge.io.tables import read_frame
 from pcnde_bridge.uncertainty.novelty import OutsideTrainingWarning
 from pcnde_bridge.uncertainty.sampling import RandomNumbers, SampledModel, sample
@@ -506,3 +507,15 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
     assert code == 0
     ends = read_frame(result).query("z == z.max()")
     assert np.allclose(ends["pressure"], 5e4 * ends["flow"] + 4e4, rtol=1e-6)
+
+
+def test_an_unusual_pressure_at_the_inlet_is_reported(model):
+    outlet, inflow, area = Windkessel(3e5), INFLOW[[0]], AREA[[0]]
+    with pytest.warns(PCNDEWarning, match=r"inlet of case 0 is \d+ mmHg; 50 to 150 mmHg.*outlet"):
+        model.predict(inflow, area, outlet=outlet)
+    with pytest.warns(PCNDEWarning, match="inlet of case 0") as caught:
+        list(model.predict_batches(np.repeat(inflow, 3, axis=0), area, batch=1, outlet=outlet))
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.predict(inflow, area)  # the outlet and an input of the training
