@@ -8,7 +8,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.optional import require
-from pcnde_bridge._utils.validation import all_of, finite_vector, whole
+from pcnde_bridge._utils.validation import all_of, check_memory, finite_vector, whole
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.waveform import Waveform, coronary
@@ -82,7 +82,10 @@ def sobol_indices(
     analysis = require("SALib.analyze.sobol", "sensitivity")
     problem = {"num_vars": len(ranges), "names": [*ranges], "bounds": [*ranges.values()]}
     options = {"calc_second_order": False, "seed": whole("seed", seed)}
-    points = sampler.sample(problem, whole("samples", samples, 2), **options)
+    samples = whole("samples", samples, 2)
+    numbers = 2 * samples * (len(ranges) + 2) * (len(ranges) + len(indices))
+    check_memory(f"An analysis of {samples} samples", numbers, "request fewer samples")
+    points = sampler.sample(problem, samples, **options)
     [vessel] = all_of(Vessel, "vessel", [vessel or Vessel((Stenosis(0.6),))])
     [waveform] = all_of(Waveform, "waveform", [coronary() if waveform is None else waveform])
     if len(vessel.stenoses) != 1:

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.validation import positive, whole
+from pcnde_bridge._utils.validation import check_memory, positive, whole
+from pcnde_bridge.data.variables import FIELDS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.vessel_results import VesselResults
 
@@ -128,8 +129,15 @@ def on_time_points(vessel: VesselResults, time_points: int | None) -> VesselResu
             f"{time.size} time points are not equal steps of the period of {period:g} s: pass "
             "time_points= (--time-points), such as 100, to resample."
         )
+    _check_size(time_points, vessel.z.size)
     equal = time[0] + period / time_points * np.arange(time_points)
     return vessel.change(lambda values: _periodic(time, values, period, time_points), time=equal)
+
+
+def _check_size(count: int, others: int) -> None:
+    """Raise if the variables on so many time points or points do not fit into memory."""
+    numbers = 2 * len(FIELDS) * count * others
+    check_memory(f"Resampling to {count} values", numbers, "ask for fewer")
 
 
 def _periodic(time: Array, values: Array, period: float, count: int) -> Array:
@@ -175,7 +183,9 @@ def on_points(vessel: VesselResults, points: int | npt.ArrayLike | None) -> Vess
 
     first, last = vessel.z[0], vessel.z[-1]
     if np.ndim(points) == 0:
-        points = np.linspace(first, last, whole("points", points, 3))
+        count = whole("points", points, 3)
+        _check_size(count, vessel.time.size)
+        points = np.linspace(first, last, count)
     z, slack = np.asarray(points, dtype=np.float64), _SAME_LENGTH * np.ptp(vessel.z)
     if z.ndim != 1 or z.min() < first - slack or z.max() > last + slack:
         raise InputError(f"points must lie within the vessel, from {first:g} to {last:g} cm.")

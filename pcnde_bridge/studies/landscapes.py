@@ -20,7 +20,7 @@ from scipy.ndimage import minimum_filter
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.display import Displayed
-from pcnde_bridge._utils.validation import positive, whole
+from pcnde_bridge._utils.validation import check_memory, positive, whole
 from pcnde_bridge.config import PAPER, PCNDEConfig, resolve_pcnde_config
 from pcnde_bridge.config.settings import Term
 from pcnde_bridge.data.cases import Cases
@@ -225,6 +225,7 @@ def amplitudes(largest: float, points: int) -> Array:
     points = whole("points", points, 3)
     if points % 2 == 0:
         raise InputError(f"points must be odd, so that one has amplitude 0; got {points}.")
+    check_memory(f"A grid of {points} × {points} points", 3 * points**2, "ask for fewer points")
     largest = positive("amplitude", largest)
     half = points // 2
     return largest * np.arange(-half, half + 1) / half

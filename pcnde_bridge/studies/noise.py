@@ -16,7 +16,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array, BoolArray, IntArray
 from pcnde_bridge._utils.display import Displayed
 from pcnde_bridge._utils.parallel import Workers, each
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import check_memory, whole
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.variables import FIELDS
@@ -137,6 +137,8 @@ def noise_study(
     if not (np.isfinite(level) and level >= 0):
         raise InputError(f"level must be a number ≥ 0, got {level!r}.")
     samples, seed = whole("samples", samples, 2), whole("seed", seed)
+    numbers = 2 * len(FIELDS) * samples * case.n_times * case.n_points
+    check_memory(f"A study of {samples} samples", numbers, "request fewer samples")
     model.check_grid(case)
     # Blocks have one size, because engines compile for each size.  The exact input, needed
     # once anyway, fills the rest.

@@ -63,6 +63,7 @@ def test_a_model_of_the_preset_physics(physics_model):
         {"vessel": Vessel()},
         {"vessel": "paper"},
         {"waveform": np.ones(40)},
+        {"samples": 10**12},
     ],
 )
 def test_unusable_arguments_are_refused(physics_model, change):

@@ -125,3 +125,9 @@ def test_vessels_of_one_data_set_have_one_grid(vessel):
     with pytest.raises(InputError, match=r"20 values of time .*--time-points"):
         to_cases([vessel, coarse])
     assert to_cases([vessel, coarse], time_points=20).n_cases == 2
+
+
+@pytest.mark.parametrize("option", ["time_points", "points"])
+def test_resampling_to_more_than_memory_holds_is_refused(vessel, option):
+    with pytest.raises(InputError, match=r"to 1000000000 values would need .* ask for fewer"):
+        to_cases([vessel], **{option: 10**9})

@@ -220,6 +220,7 @@ def test_minima_and_roughness():
     ("changes", "words"),
     [
         ({"points": 4}, "odd"),
+        ({"points": 10**9 + 1}, "GB of memory, .* ask for fewer points"),
         ({"points": 5.0}, "points must be a whole number"),
         ({"amplitude": np.inf}, "amplitude must be positive and finite"),
         ({"config": "physics"}, "needs the paper's equations"),

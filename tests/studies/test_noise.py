@@ -97,6 +97,7 @@ def test_tasks_can_be_sent_to_processes(small_model, hardest):
         ({"level": np.nan}, "level must be"),
         ({"samples": 1}, "samples must be"),
         ({"samples": True}, "samples must be"),
+        ({"samples": 10**9}, "GB of memory"),
         ({"seed": -1}, "seed must be"),
     ],
 )
