@@ -44,6 +44,7 @@ class TrainingProgress(ProgressDisplay):
         super().__init__("training", total, done, columns, console=console, **texts)
         self._slow = slow
         self._timed_from: tuple[float, float] | None = None  # time and work of the first iteration
+        self._compiles_from: float | None = None
         self._fits, self._converged = 0, 0
         self._begun: set[str] = set()
 
@@ -57,6 +58,7 @@ class TrainingProgress(ProgressDisplay):
         if task in self._begun:
             return
         self._begun.add(task)
+        self._compiles_from = time.monotonic()
         line = f"{task.replace('_', ' ')}: compiling"
         self._bar.update(self._task, description=line)
         if self._draws:
@@ -93,12 +95,14 @@ class TrainingProgress(ProgressDisplay):
     def _remaining(self) -> str:
         """Return the remaining time.
 
-        Iterations of an earlier run, and compilation before the first one, do not count.
+        Iterations of an earlier run, and compilation before a task's first one, do not count.
         """
         now, work = time.monotonic(), self._work(self._done)
-        if self._timed_from is None:
-            self._timed_from = now, work
-        began, before = self._timed_from
+        began, before = self._timed_from or (now, work)
+        if self._compiles_from is not None:
+            began = min(now, began + now - self._compiles_from)
+            self._compiles_from = None
+        self._timed_from = began, before
         if work == before:
             return "unknown"
         return f"{(now - began) * (self._work(self._total) - work) / (work - before):.0f} s"

@@ -99,6 +99,21 @@ def test_slow_iterations_at_the_end_count_more(clock, monkeypatch):
     ]
 
 
+def test_compilation_does_not_count_as_iterations(clock, monkeypatch):
+    monkeypatch.setattr(base, "LOG_EVERY", 0.0)
+    console = log()
+    with TrainingProgress(6, console=console) as bar:
+        for task, compilation in (("flow", 20.0), ("temporal_pressure", 30.0)):
+            bar.on_step(task)
+            clock.now += compilation
+            for number in range(1, 4):
+                bar(record(number, task))
+                clock.now += 2.0
+    lines = [line for line in console.file.getvalue().splitlines() if "remaining" in line]
+    left = [line.split("remaining ")[1] for line in lines]
+    assert left == ["unknown", "8 s", "6 s", "4 s", "2 s", "0 s"]
+
+
 def test_converged_fits_are_counted(clock, monkeypatch):
     monkeypatch.setattr(base, "LOG_EVERY", 0.0)
     console = log()
