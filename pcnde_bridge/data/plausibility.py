@@ -11,11 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge.data.balances import density, growth_of_volume
 from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
 from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
 _ROOT = math.sqrt(math.pi) / 2  # root of the area over the diameter
+_ALONG = {"along": 1, "area": 0}
 _SHEAR = {"wall_shear_stress": 1, "area": 1.5, "flow": -1}
 _BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
 _INERTIA = {"inertia": 1, "pressure": 1, "time": 1, "area": 1, "flow": -1, "z": -1}
@@ -56,6 +58,7 @@ _RANGES = (
     _Range("the length of the vessel", " cm", 0.2, 100, 0.05, 300, {"z": 1}),
     _Range("the length of the recording", " s", 0.25, 60, 0.08, 300, {"time": 1}),
     _Range("the area over the undeformed area", "", 0.75, 1.55, 0.2, 5, {"ratio": 1, "area": 0}),
+    _Range("the largest of these along the vessel, over the least,", "", 1, 3, 1, 4, _ALONG),
     _Range("flow over area", " cm/s", 1, 100, 0.2, 400, {"flow": 1, "area": -1}),
     _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _REYNOLDS),
     _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.32, 5, _SHEAR, _POISEUILLE),
@@ -74,6 +77,8 @@ _TRANSPOSED = (
 
 BALANCES = {"balance", "inertia"}
 """Sizes that compare the variables with each other; unknown where nothing changes in time."""
+
+_EXPLAINED = {*BALANCES, "along"}  # by :func:`check_vessel`
 
 Sizes = dict[str, Array]
 """Measured quantities by name, one number for each vessel; NaN is unknown."""
@@ -109,12 +114,14 @@ def sizes_of(
     sizes = input_sizes(flow, area_undeformed, float(np.ptp(z)), float(np.ptp(time)))
     undeformed = area_undeformed[:, None, :]
     sizes["pressure"] = pressure.mean(axis=(1, 2))
-    sizes["ratio"] = np.median((area / undeformed).mean(axis=1), axis=1)
+    ratios = (area / undeformed).mean(axis=1)
+    sizes["ratio"] = np.median(ratios, axis=1)
+    sizes["along"] = ratios.max(axis=1) / ratios.min(axis=1)
     if wall_shear_stress is not None:
         sizes["wall_shear_stress"] = np.median(np.abs(wall_shear_stress.mean(axis=1)), axis=1)
     for name, powers, values in (
-        ("balance", _BALANCE, _balance(flow, area, time, z)),
-        ("inertia", _INERTIA, _density(flow, area, pressure, time, z)),
+        ("balance", _BALANCE, growth_of_volume(flow, area, time, z)),
+        ("inertia", _INERTIA, density(flow, area, pressure, time, z)),
     ):
         # The other sizes in this product cancel, so that it is measured in their units.
         others = math.prod(sizes[other] ** powers[other] for other in powers if other != name)
@@ -142,51 +149,6 @@ def input_sizes(flow: Array, area_undeformed: Array, length: float, period: floa
         "z": np.full(count, length),
         "time": np.full(count, period),
     }
-
-
-def _balance(flow: Array, area: Array, time: Array, z: Array) -> Array:
-    """Return the slope of inflow less outflow over the growth of the volume, (case,).
-
-    It is NaN where the two are not clearly related, as with rigid walls.
-    """
-    growth = np.gradient(np.trapezoid(area, z, axis=2), time, axis=1)
-    excess = flow[:, :, 0] - flow[:, :, -1]
-    growth -= growth.mean(axis=1, keepdims=True)
-    excess -= excess.mean(axis=1, keepdims=True)
-    product, growths = (excess * growth).sum(axis=1), (growth**2).sum(axis=1)
-    rounding = 1e-9 * np.abs(flow).max(axis=(1, 2))
-    related = (product > 0.95 * np.linalg.norm(excess, axis=1) * np.sqrt(growths)) & (
-        np.abs(excess).max(axis=1) > rounding
-    )
-    slope: Array = np.full(len(flow), np.nan)
-    np.divide(product, growths, out=slope, where=related & (len(time) >= 8))
-    return slope
-
-
-def _density(flow: Array, area: Array, pressure: Array, time: Array, z: Array) -> Array:
-    """Return the density by which differences of the pressure accelerate the flow, (case,).
-
-    Losses are the rest that is constant, linear or quadratic in the flow.  It is NaN where
-    accelerations do not explain what remains of the differences.
-    """
-    from scipy.interpolate import CubicSpline
-
-    density: Array = np.full(len(flow), np.nan)
-    if len(time) < _RESOLVED:
-        return density
-    per_length = np.trapezoid(flow / area.mean(axis=1, keepdims=True), z, axis=2)
-    accelerations = CubicSpline(time, per_length, axis=1)(time, 1)
-    drops, means = pressure[:, :, 0] - pressure[:, :, -1], flow.mean(axis=2)
-    floor = 1e-6 * np.abs(pressure).max(axis=(1, 2)) * math.sqrt(len(time))
-    for case, q in enumerate(means / np.abs(means).max(axis=1, keepdims=True).clip(1e-300)):
-        losses, _ = np.linalg.qr(np.stack([np.ones_like(q), q, q * np.abs(q)], axis=1))
-        drop, rate = (
-            values - losses @ (losses.T @ values) for values in (drops[case], accelerations[case])
-        )
-        size = np.linalg.norm(drop)
-        if size > floor[case] and drop @ rate > 0.98 * size * np.linalg.norm(rate):
-            density[case] = (drop @ rate) / (rate @ rate)
-    return density
 
 
 class Advice(NamedTuple):
@@ -234,8 +196,8 @@ def check_units(
     advice : Advice
         Advice for the message.
     unique : bool
-        Raise also if the numbers are usual in other units as well, but not if a balance of
-        volume or momentum is wrong in all units: :func:`check_vessel` may explain it.
+        Raise also if the numbers are usual in other units as well, but not if the
+        variables do not go together in any units: :func:`check_vessel` may explain it.
 
     Raises
     ------
@@ -253,7 +215,7 @@ def check_units(
     for usual, low, high in _measured(sizes):
         if usual.powers.keys() & {*open_}:
             measured.append((usual, low, high))
-        elif unique and usual.powers.keys() & BALANCES:
+        elif unique and usual.powers.keys() & _EXPLAINED:
             continue  # start-up cycles need not balance
         elif low < usual.least or high > usual.most:
             wrong = low if low < usual.least else high
@@ -279,7 +241,7 @@ def check_units(
         f"{usual.low:g} to {usual.high:g}"
         for usual, low, high in measured
         if not usual.holds(low, high, {})
-        and (others or not unique or usual.powers.keys().isdisjoint(BALANCES))
+        and (others or not unique or usual.powers.keys().isdisjoint(_EXPLAINED))
     ]
     if not doubts:
         return

@@ -211,6 +211,20 @@ def test_radii_and_diameters_in_place_of_areas_are_refused(diameter, rigid, fact
         Cases(**fields)
 
 
+def test_undeformed_areas_that_do_not_go_with_the_areas_are_refused():
+    """Such as those of another vessel, or from the outlet to the inlet."""
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, shear=None, drop=False)
+    taper = np.linspace(1, 0.4, 7)
+    fields |= {name: taper * fields[name] for name in ("area", "area_undeformed")}
+    fields["flow"] = fields["flow"][..., :1] * np.ones(7)
+    Cases(**fields, check=False)
+    check_units(sizes_of(**fields), FACTORS, OPTION, unique=True)
+    fields["area_undeformed"] = fields["area_undeformed"][:, ::-1]
+    for stated in ((), FACTORS):
+        with pytest.raises(InputError, match=r"these along the vessel, over the least, is 6\.25"):
+            check_units(sizes_of(**fields), stated, OPTION)
+
+
 @pytest.mark.parametrize("factor", [0.5, 2])
 def test_half_and_twice_the_flow_are_refused(factor):
     """The growth of the volume alone does not tell."""
