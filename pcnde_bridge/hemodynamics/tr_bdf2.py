@@ -22,7 +22,7 @@ _OWN = GAMMA / 2
 _WEIGHT = sqrt(2.0) / 4
 
 _MAX_NEWTON = 20
-_NEWTON_TOLERANCE = 1e-6  # of the last update; convergence is quadratic
+_NEWTON_TOLERANCE = 1e-5  # of the last update; convergence is quadratic
 
 
 class Fields(NamedTuple):
@@ -121,9 +121,12 @@ class _Scheme:
         self.cells = wall(lambda values: 0.5 * (values[:-1] + values[1:]))
         self.undeformed = _join(self.boundary.undeformed, self.cells.undeformed)
         self.faces = _harmonic_mean(self.undeformed[:-1], self.undeformed[1:])
-        # Distance over which the momentum of a face is balanced.
-        width = jnp.full((len(self.faces), 1), blood.dz)
-        self.width = width.at[jnp.array([0, -1])].divide(2.0)
+        # Inverse of the distance over which the momentum of a face is balanced.  The compiled step
+        # multiplies by inverses: a division of arrays takes several times as long.
+        inverse, ends = jnp.full((len(self.faces), 1), 1.0 / blood.dz), jnp.array([0, -1])
+        self.per_width = inverse.at[ends].multiply(2.0)
+        # Diffusion along the vessel is neglected on the faces at the ends.
+        self.diffusion = (blood.viscosity / blood.density * inverse**2).at[ends].set(0.0)
         self.viscous, self.turbulent = self._losses(inputs.area_undeformed, narrowings)
         # Factors of a stage's own slope and, in the last stage, of the slopes before.
         self.own, self.weight = _OWN * blood.dt, _WEIGHT * blood.dt
@@ -189,7 +192,7 @@ class _Scheme:
 
     def area(self, stage: _Stage, flow: Any) -> Any:
         """Area at all places, not positive where the wall collapsed."""
-        rate = -jnp.diff(flow, axis=0) / self.blood.dz
+        rate = -jnp.diff(flow, axis=0) * (1.0 / self.blood.dz)
         area = stage.known.area + self.own * rate
         # The viscous stress at an end is that of its cell.
         viscous = _ends(rate * self.cells.damping(area))
@@ -201,42 +204,44 @@ class _Scheme:
         A flow also changes the areas of its two cells: the derivatives are by the flow on
         the face before, on the face itself, and on the face behind.
         """
-        blood = self.blood
+        blood, per_dz = self.blood, 1.0 / self.blood.dz
         # Area, pressure p and momentum m = Q²/S of all places.  In the cells the derivatives
         # are by the flows that enter and leave; at the ends there is one flow.
         # Beyond the end of the wall law S < 0. Newton's method may pass there, not stay.
         s = jnp.abs(self.area(stage, flow))
+        inverse = 1.0 / s
         center, s_c, s_e = 0.5 * (flow[:-1] + flow[1:]), s[1:-1], _ends(s)
-        rate, k = -jnp.diff(flow, axis=0) / blood.dz, self.own / blood.dz
+        rate, k = -jnp.diff(flow, axis=0) * per_dz, self.own * per_dz
         damping = self.cells.damping(s_c)
-        m_c, p_c = center**2 / s_c, k * self.cells.slope(s_c) + damping / blood.dz
+        m_c, p_c = center**2 * inverse[1:-1], k * self.cells.slope(s_c) + damping * per_dz
         p_e, p_q = self.end_pressure(stage, flow)
         q_e, s_q = _ends(flow), p_q / self.boundary.slope(s_e)
         m_e = q_e**2 / s_e
         p, m = _join(p_e, self.cells.pressure(s_c) + damping * rate), _join(m_e, m_c)
         m_q = (2.0 * q_e - m_e * s_q) / s_e
-        m_enter, m_leave = (_join(m_q, (center + d) / s_c) for d in (-k * m_c, k * m_c))
+        m_enter, m_leave = (_join(m_q, (center + d) * inverse[1:-1]) for d in (-k * m_c, k * m_c))
         p_enter, p_leave = (_join(p_q, d) for d in (p_c, -p_c))
         s_enter, s_leave = (_join(s_q, jnp.full_like(s_c, d)) for d in (k, -k))
 
-        on_face = _harmonic_mean(s[:-1], s[1:])
-        gradient, widening = jnp.diff(p, axis=0) / self.width, (self.faces / on_face) ** 2
+        # The area on a face is the harmonic mean.
+        narrowness = 0.5 * (inverse[:-1] + inverse[1:])
+        on_face, widening = 1.0 / narrowness, (self.faces * narrowness) ** 2
+        gradient = jnp.diff(p, axis=0) * self.per_width
         loss = (self.viscous + self.turbulent * jnp.abs(flow)) * flow * widening
-        nu, inert = blood.viscosity / blood.density, blood.convection / self.width
-        # Diffusion along the vessel is neglected on the faces at the ends.
-        diffusion = jnp.full_like(self.width, nu / blood.dz**2).at[jnp.array([0, -1])].set(0.0)
+        inert, diffusion = blood.convection * self.per_width, self.diffusion
+        light = on_face * (1.0 / blood.density)
         change = diffusion * jnp.pad(jnp.diff(flow, 2, axis=0), ((1, 1), (0, 0)))
         change -= inert * jnp.diff(m, axis=0)
-        change -= on_face / blood.density * (gradient + loss)
+        change -= light * (gradient + loss)
 
-        by_area = 0.5 * on_face**2 * (loss - gradient) / blood.density
-        by_before, by_behind = by_area / s[:-1] ** 2, by_area / s[1:] ** 2
+        by_area = 0.5 * on_face * light * (loss - gradient)
+        by_before, by_behind = by_area * inverse[:-1] ** 2, by_area * inverse[1:] ** 2
         resistance = (self.viscous + 2.0 * self.turbulent * jnp.abs(flow)) * widening
-        stiff = on_face / (blood.density * self.width)
+        stiff = light * self.per_width
         before = inert * m_enter[:-1] + stiff * p_enter[:-1] + by_before * s_enter[:-1]
         own = inert * (m_leave[:-1] - m_enter[1:]) + stiff * (p_leave[:-1] - p_enter[1:])
         own += by_before * s_leave[:-1] + by_behind * s_enter[1:]
-        own -= on_face / blood.density * resistance
+        own -= light * resistance
         behind = by_behind * s_leave[1:] - inert * m_leave[1:] - stiff * p_leave[1:]
         bands = before + diffusion, own - 2.0 * diffusion, behind + diffusion
         residual = flow - stage.known.flow - self.own * change
@@ -316,9 +321,9 @@ class _Scheme:
         if not self.form.pressure_inlet:
             guess += inlet - guess[0]
         flow, good, place = self.solve(stage, (guess, before.flow))
-        area = known.area - self.own * jnp.diff(flow, axis=0) / self.blood.dz
-        found = Fields(area, flow, stage.outlet + self.gain * flow[-1])
-        latest_slope = jax.tree.map(lambda y, y_known: (y - y_known) / self.own, found, known)
+        area = known.area - self.own / self.blood.dz * jnp.diff(flow, axis=0)
+        found, per_own = Fields(area, flow, stage.outlet + self.gain * flow[-1]), 1.0 / self.own
+        latest_slope = jax.tree.map(lambda y, y_known: (y - y_known) * per_own, found, known)
         return (found, latest_slope, slope.flow), (good, place, flow[0] - flow[-1])
 
     def step(self, state: State, given: Any) -> tuple[State, None]:
