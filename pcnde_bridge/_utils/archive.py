@@ -20,6 +20,8 @@ from pcnde_bridge.errors import FileError
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
 _MODEL_KINDS = {"pcnde-model", "pcnde-ensemble"}  # load_model reads both
+_NAMES_OF_KINDS = {"pcnde-cases": "a data set", None: "something else"}
+_SIGNATURES = {b"PK": "", b"\x89HDF": "an HDF5"}  # first bytes of .npz and other files
 
 
 def write_archive(
@@ -80,7 +82,7 @@ def read_archive(
     FileError
         If the file is missing, damaged, of another kind, or of a newer format.
     """
-    with reading(path, f"a pcnde_bridge {what}"), np.load(path, allow_pickle=False) as archive:
+    with reading(path, f"a pcnde_bridge {what}"), _opened(path, kind, what) as archive:
         facts = stated_facts(archive)
         check_format(path, facts, kind, version, what)
         check_members(archive.zip, Path(path).stat().st_size)
@@ -92,6 +94,27 @@ def read_archive(
         if set(arrays) != set(facts.pop(_NAMES, arrays)):
             raise zipfile.BadZipFile("arrays are missing")
     return facts, arrays
+
+
+def _opened(path: StrPath, kind: str, what: str) -> Any:
+    """Open a ``.npz`` file, or raise an error that names the kind of another file."""
+    if Path(path).is_file():  # a pipe is read only once
+        with Path(path).open("rb") as file:
+            first = file.read(4)
+        other = next((n for start, n in _SIGNATURES.items() if first.startswith(start)), "no .npz")
+        if first and other:
+            advice = _advice(path, kind)
+            raise FileError(f"{path} is not a pcnde_bridge {what}: it is {other} file.{advice}")
+    return np.load(path, allow_pickle=False)
+
+
+def _advice(path: StrPath, kind: str) -> str:
+    """Return how to create a file of a kind from another file."""
+    if kind in _MODEL_KINDS:
+        return f" Fit a model first: pcnde fit {path} --out model.npz."
+    if kind == "pcnde-cases" and Path(path).suffix.lower() != ".npz":
+        return f" Convert it first: pcnde convert {path} --from hdf5 --out cases.h5."
+    return ""
 
 
 @contextlib.contextmanager
@@ -146,18 +169,17 @@ def stated_facts(archive: Any) -> dict[str, Any]:
 def check_format(path: StrPath, facts: dict[str, Any], kind: str, version: int, what: str) -> None:
     """Raise unless the facts of a file state its kind, in a version that is known."""
     found = facts.get("format")
+    if {kind, found} == _MODEL_KINDS:
+        advice = f" Give a file of one {what}; pcnde_bridge.load_model reads either."
+        raise FileError(f"{path} is not a pcnde_bridge {what} but a {found!r} file.{advice}")
     if found != kind:
-        advice = ""
-        if {kind, found} == _MODEL_KINDS:
-            advice = f" Give a file of one {what}; pcnde_bridge.load_model reads either."
-        other = f"a {found!r} file" if found else "something else"
-        other = "a data set" if found == "pcnde-cases" else other
-        raise FileError(f"{path} is not a pcnde_bridge {what} but {other}.{advice}")
+        other = _NAMES_OF_KINDS.get(found, f"a {found!r} file")
+        raise FileError(f"{path} is not a pcnde_bridge {what} but {other}.{_advice(path, kind)}")
     found_version = facts.get("format_version")
     if not isinstance(found_version, int) or found_version > version:
         raise FileError(
             f"{path} was written by a newer pcnde_bridge (format {found_version}; this one reads "
-            f"up to {version}). Upgrade the package: pip install --upgrade pcnde-bridge."
+            f"up to {version}). Upgrade the package: pip install . in its newer source."
         )
 
 

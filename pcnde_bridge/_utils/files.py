@@ -358,7 +358,7 @@ def check_file(path: Path, what: str) -> None:
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise DataNotFoundError(f"There is no file {path}; check the path.") from error
+        raise DataNotFoundError(f"There is no file {path} ({what}); check the path.") from error
     except OSError as error:
         raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
     for found, of_kind in (("folder", stat.S_ISDIR), ("device", stat.S_ISCHR)):

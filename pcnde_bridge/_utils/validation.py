@@ -173,10 +173,8 @@ def check_values(
     first = tuple(int(i) for i in np.argwhere(wrong)[0])
     place = f"[{', '.join(str(i + offset) for i in first)}]" if first else ""
     total = int(np.count_nonzero(wrong))
-    raise InputError(
-        f"{name}{place} is {array[first]}: {rule}; "
-        f"{counted(total, 'value')} of {name} {'is' if total == 1 else 'are'} wrong in this way"
-    )
+    more = "" if total == 1 else f"; {total} values of {name} are wrong in this way"
+    raise InputError(f"{name}{place} is {array[first]}: {rule}{more}")
 
 
 def check_finite(name: str, array: AnyArray) -> None:

@@ -89,13 +89,13 @@ def predict(
     out: Path = option(
         ...,
         "Result: .csv (tidy), .npz or .h5 (a data set), .vtp (centerlines, one per case) "
-        "or .pvd (animation for ParaView).",
+        "or .pvd (animation for ParaView); with --samples, .csv only.",
     ),
     engine: EngineName = options.ENGINE,
     samples: int = option(
         0,
-        "Number of samples for the standard deviations in a .csv (preset physics; 64 are "
-        "enough). An ensemble always gives standard deviations.",
+        "Number of samples for standard deviations, which only a .csv has (preset physics; 64 "
+        "are enough). An ensemble always gives standard deviations.",
         min=0,
     ),
     outlet: Path | None = options.OUTLET,
@@ -133,6 +133,7 @@ def predict(
             f"{model} is an ensemble, whose standard deviations and intervals need no samples: "
             "leave out --samples."
         )
+    fitted.check_samples(samples)
     given = read_inputs(
         inflow,
         area,

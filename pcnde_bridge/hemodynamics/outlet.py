@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcnde_bridge._typing import Array, ComplexArray
-from pcnde_bridge._utils.validation import all_of, finite_array
+from pcnde_bridge._utils.validation import all_of, finite_array, listed
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions
 from pcnde_bridge.errors import InputError
@@ -287,7 +287,9 @@ class Reflection(Outlet):
 def check_outlet(outlet: object) -> None:
     """Raise InputError unless the argument is an outlet."""
     if not isinstance(outlet, Outlet):
-        raise InputError(f"outlet must be an outlet such as Windkessel(R), got {outlet!r}.")
+        kinds = listed([kind.__name__ for kind in Outlet.__subclasses__()])
+        advice = f"such as Windkessel(resistance=1e4), of the classes {kinds}"
+        raise InputError(f"outlet must be an outlet {advice}, got {outlet!r:.80}.")
 
 
 def outlet_from(values: object) -> Outlet:
@@ -306,14 +308,18 @@ def outlet_from(values: object) -> Outlet:
         several = isinstance(value, list) and any(isinstance(each, dict) for each in value)
         if several:
             return tuple(map(restored, value))
-        return Waveform(**value) if isinstance(value, dict) else value
+        return made(Waveform, value) if isinstance(value, dict) else value
 
-    try:
-        return kinds[values["kind"]](
-            **{name: restored(value) for name, value in values.items() if name != "kind"}
-        )
-    except TypeError as error:
-        raise InputError(f"The outlet {values['kind']} is not usable: {error}.") from error
+    def made(kind: Any, given: dict[str, Any]) -> Any:
+        try:
+            return kind(**given)
+        except TypeError as error:
+            known, name = [field.name for field in fields(kind)], kind.__name__
+            raise InputError(f"{name} has the fields {known}, got {[*given]}.") from error
+
+    arguments = {name: restored(value) for name, value in values.items() if name != "kind"}
+    outlet: Outlet = made(kinds[values["kind"]], arguments)
+    return outlet
 
 
 def periodic_response(circuit: Circuit, n_times: int, period: Any, xp: Any = np) -> Any:

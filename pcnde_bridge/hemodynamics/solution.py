@@ -127,7 +127,7 @@ def report(periodicity: Array, volume_balance: Array) -> None:
     _log.debug("Periodicity %s, volume balance %s.", periodicity, volume_balance)
     if len(late := np.flatnonzero(periodicity > _NOT_PERIODIC)):
         _log.warning(
-            "%d of %d cases are not periodic yet, case %d is %.1e away; use more cycles, or an "
-            "initial_pressure nearer the mean.",
+            "%d of %d cases are not periodic yet, case %d is %.1e away; use more "
+            "cycles, Tube1D(cycles=…), or an initial_pressure nearer the mean.",
             *(len(late), len(periodicity), late[0], periodicity[late[0]]),
         )

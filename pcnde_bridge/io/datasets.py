@@ -19,6 +19,7 @@ PUBLISHED_COMMIT = "6ec3ff924ff531207a54d4e54529760f36769616"
 PUBLISHED_URL = f"https://raw.githubusercontent.com/amir-cardiolab/PCNDE/{PUBLISHED_COMMIT}/"
 
 _FOLDER = f"csala2024-{PUBLISHED_COMMIT[:7]}"
+_FORMATS = {".csv": "csv", ".vtp": "simvascular", ".pvd": "simvascular", ".in": "sv1d"}
 _STALLED = 20.0  # s without a byte after which a download is repeated
 
 
@@ -175,7 +176,9 @@ def load_cases(data: StrPath | Cases) -> Cases:
         raise DataNotFoundError(f"{str(data)!r} is {what}") from error
     if Path(data).suffix.lower() not in SUFFIXES:
         rule = f"the name {str(data)!r} must end in one of {', '.join(SUFFIXES)}"
-        raise FileError(f"{rule}; run pcnde convert {data} --out cases.h5 first")
+        known = (name for ending, name in _FORMATS.items() if ending in Path(data).suffixes)
+        program = next(known, "FORMAT (see pcnde convert --help)")
+        raise FileError(f"{rule}; run pcnde convert {data} --out cases.h5 --from {program} first")
     return Cases.load(data)
 
 

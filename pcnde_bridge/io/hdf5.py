@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.files import Budget, as_paths, reading
 from pcnde_bridge._utils.hdf5 import read_dataset
-from pcnde_bridge._utils.validation import naming
+from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
 from pcnde_bridge.data.units import FACTORS, stated_units, usual_spelling
@@ -27,6 +27,7 @@ _AXES = {
     "period": (),
 }
 _REQUIRED = tuple(name for name in UNITS if name != "wall_shear_stress")
+_LABELS = ("geometry", "waveform")  # also read beside the other arrays
 
 
 def read_hdf5(
@@ -39,10 +40,12 @@ def read_hdf5(
     paths : path-like or sequence of path-like
         Files with the arrays ``flow``, ``area`` and ``pressure`` of shape (time, z) or
         (case, time, z), ``area_undeformed`` of shape (z,) or (case, z), ``time`` and
-        ``z``; optionally ``wall_shear_stress``, ``period`` and ``labels/…``.  The attribute
-        ``units`` of an array is used where the option ``units`` does not state a unit.
+        ``z``; optionally ``wall_shear_stress``, ``period`` and the labels ``geometry``,
+        ``waveform`` and ``labels/…`` of shape (case,).  The attribute ``units`` of an array
+        is used where the option ``units`` does not state a unit.
     names : mapping, optional
-        Paths of arrays with other names: ``{"flow": "/results/Q"}``.
+        Paths of arrays with other names, ``{"flow": "/results/Q"}``, or of further labels,
+        ``{"patient": "/id"}``.
     **options
         ``period``, ``units``, ``flip``, ``time_points``, ``points`` and ``labels``, see
         :func:`pcnde_bridge.io.to_cases`.
@@ -63,8 +66,8 @@ def read_hdf5(
     """
     places = dict(names or {})
     for name, place in places.items():
-        if name not in UNITS or not isinstance(place, str):
-            raise InputError(f"names has {name!r}: {place!r}; it can name the paths of {[*UNITS]}.")
+        if not isinstance(name, str) or not isinstance(place, str):
+            raise InputError(f"names has {name!r}: {place!r}; give the path of an array, a text.")
     stated = set(stated_units(options.get("units")))
     chosen, vessels, ours = as_paths(paths), [], []
     for path in chosen:
@@ -86,18 +89,20 @@ def _read(
 
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
         group = file.get("labels")
-        labels = [f"labels/{name}" for name in group] if isinstance(group, h5py.Group) else []
-        budget = Budget(path.stat().st_size)
+        usual = dict(zip(_AXES, _AXES, strict=True)) | {f"labels/{n}": n for n in _LABELS}
+        for name in group if isinstance(group, h5py.Group) else ():
+            usual[f"labels/{name}"] = f"labels/{name}"
+        stated = {n if n in _AXES else f"labels/{n}": place for n, place in places.items()}
+        where, budget = usual | stated, Budget(path.stat().st_size)
         found = {
             name: values
-            for name in (*_AXES, *labels)
-            if (values := read_dataset(file, places.get(name, name), budget)) is not None
+            for name, place in where.items()
+            if (values := read_dataset(file, place, budget)) is not None
         }
-        units = {
-            name: _text(file[places.get(name, name)].attrs.get("units", ""))
-            for name in found
-            if name not in labels
-        }
+        if lost := [place for name, place in stated.items() if name not in found]:
+            raise InputError(f"it has no array {listed(lost)} (names=, --names); it has {[*file]}.")
+        units = {name: _text(file[where[name]].attrs.get("units", "")) for name in found}
+        units = {name: unit for name, unit in units.items() if name in _AXES}
         return found, units, _text(file.attrs.get("format", "")) == FORMAT
 
 

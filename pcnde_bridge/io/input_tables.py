@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
-from pcnde_bridge._utils.validation import check_increasing, listed, naming
+from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.plausibility import check_samples
 from pcnde_bridge.data.units import (
@@ -86,6 +86,7 @@ def read_cycle(
     *,
     period: float | None = None,
     time_points: int | None = None,
+    any_period: bool = True,
 ) -> tuple[float, pd.DataFrame]:
     """Read waveforms of one cycle, without its end point.
 
@@ -102,6 +103,8 @@ def read_cycle(
         out.  By default the number of time points times their distance, if that is the usual one.
     time_points : int, optional
         Interpolate to this number of equal steps, by :meth:`Waveform.from_samples`.
+    any_period : bool
+        Whether the model accepts other periods, for messages.
 
     Returns
     -------
@@ -122,10 +125,8 @@ def read_cycle(
     time, columns = _read(path, "time")
     if time.size < 2:
         raise InputError(f"{path} has {time.size} time points; a cycle needs more.")
+    _check_sorted(path, "time", time)
     span, steps = float(time[-1] - time[0]), np.diff(time)
-    if not (steps > 0).all():
-        line = line_of(path, int((steps <= 0).argmax()) + 1)
-        raise InputError(f"{path}, line {line}: time must increase: sort the rows by time.")
     if abs(time[0] - start) > _SAME * max(span, abs(start)) and time_points is None:
         raise InputError(
             f"{path}, line {line_of(path, 0)}: time starts at {time[0]:g} s, but it must start at "
@@ -139,7 +140,7 @@ def read_cycle(
                 f"Leave the last line out, or pass the period (--period {span:g}); if the cycle "
                 "goes on after it, pass the period of the whole cycle."
             )
-        period = span if closed else _period_of(path, time, usual_period)
+        period = span if closed else _period_of(path, time, usual_period, any_period)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
             f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."
@@ -166,7 +167,21 @@ def read_cycle(
     return period, columns
 
 
-def _period_of(path: StrPath, time: Array, usual: float) -> float:
+def _check_sorted(path: StrPath, axis: str, values: Array) -> None:
+    if (wrong := ~(np.diff(values) > 0)).any():
+        line = line_of(path, int(wrong.argmax()) + 1)
+        raise InputError(f"{path}, line {line}: {axis} must increase: sort the rows by {axis}.")
+
+
+def _only_period(period: float) -> str:
+    """Return the advice for models of the presets paper and fast."""
+    return (
+        f"this model predicts cycles of {period:g} s only, as in its training; for another period "
+        "use a model of the preset physics"
+    )
+
+
+def _period_of(path: StrPath, time: Array, usual: float, any_period: bool) -> float:
     """Return the length of a cycle without its end point, which must be the usual one."""
     span, steps = float(time[-1] - time[0]), np.diff(time)
     period = span * time.size / (time.size - 1)
@@ -174,11 +189,13 @@ def _period_of(path: StrPath, time: Array, usual: float) -> float:
         advice = "Add what is missing, or"
         if abs(span - usual) < 1e-3 * steps.min():
             advice = f"If it includes the cycle's end, pass --period {span:g}; or"
-        raise InputError(
-            f"{path}: {time.size} time points in steps of {steps[0]:g} s are a cycle of {period:g} "
-            f"s, but that of the training data has {usual:g} s. {advice} pass --period {period:g} "
-            f"if it is the whole cycle.{_other_unit('time', period, usual)}"
-        )
+        advice += f" pass --period {period:g} if it is the whole cycle."
+        found = f"{time.size} time points in steps of {steps[0]:g} s are a cycle of {period:g} s"
+        contrast = f"that of the training data has {usual:g} s. {advice}"
+        if not any_period and abs(span - usual) >= 1e-3 * steps.min():
+            contrast = f"{_only_period(usual)}. If rows are missing, add them."
+        hint = _other_unit("time", period, usual)
+        raise InputError(f"{path}: {found}, but {contrast}{hint}")
     # The mean of unequal steps says little about the last one.
     unequal = np.ptp(steps) > 1e-3 * steps.min()
     return usual if unequal and not math.isnan(usual) else period
@@ -212,7 +229,7 @@ def read_candidates(
     """
     cycle, waveforms = read_cycle(inflow, 0.0, math.nan, period=period)
     z, vessels = _read(area, "z")
-    check_increasing("z", z, "cm")
+    _check_sorted(area, "z", z)
     if not (vessels > 0).all(axis=None):
         raise InputError(f"{area} must hold positive areas, in cm².")
     time: Array = np.arange(len(waveforms), dtype=np.float64) * (cycle / len(waveforms))
@@ -269,7 +286,7 @@ def read_columns(
     if interpolate:
         from scipy.interpolate import PchipInterpolator
 
-        check_increasing(axis, found, unit)
+        _check_sorted(path, axis, found)
         if abs(found[[0, -1]] - expected[[0, -1]]).max() > 1e-3 * np.ptp(expected):
             given = f"from {found[0]:g} to {found[-1]:g}"
             raise InputError(f"{path} has {axis} {given}; the model works {covered}.")
@@ -278,12 +295,18 @@ def read_columns(
     if len(found) == len(expected) + 1 and _is_closed(_rows(columns), axis == "time"):
         line = line_of(path, len(expected))
         raise InputError(f"{path}, line {line}: the cycle's end repeats its start: leave it out.")
+    increases = (np.diff(found) > 0).all()
+    advice = "pass --interpolate" if increases else f"sort the rows by {axis}"
+    if axis == "time" and increases and found.size > 1:
+        step, steps = np.ptp(expected) / (expected.size - 1), found.size - 1
+        cycle, span = step * expected.size, np.ptp(found)
+        if min(abs(span - cycle), abs(span * found.size / steps - cycle)) > 1e-3 * cycle:
+            advice = _only_period(cycle)
     if len(found) != len(expected):
         raise InputError(
             f"{path} has {len(found)} rows, but the model works on {len(expected)} values of "
-            f"{axis} {covered}: pass --interpolate."
+            f"{axis} {covered}: {advice}."
         )
-    advice = "pass --interpolate" if (np.diff(found) > 0).all() else f"sort the rows by {axis}"
     worst = int(np.abs(found - expected).argmax())
     if abs(found[worst] - expected[worst]) > _SAME * (1 + np.abs(expected).max()):
         raise InputError(
@@ -379,18 +402,25 @@ def read_inputs(
     if any_grid or interpolate or period is not None:
         count = grid.time.size if interpolate else None
         given = None if period is None else period / factor["time"]
-        found, q = read_cycle(inflow, start, usual_period, period=given, time_points=count)
+        if not (any_grid or period is None or math.isclose(period, grid.period, rel_tol=1e-6)):
+            raise InputError(f"--period is {period:g} s, but {_only_period(grid.period)}.")
+        options: dict[str, Any] = {"time_points": count, "any_period": any_grid}
+        found, q = read_cycle(inflow, start, usual_period, period=given, **options)
         if any_grid:
             where["period"] = found
-        elif not math.isclose(found, usual_period, rel_tol=1e-6) or len(q) != grid.time.size:
+        elif not math.isclose(found, usual_period, rel_tol=1e-6):
+            found *= factor["time"]
+            raise InputError(f"{inflow} covers {found:g} s, but {_only_period(grid.period)}.")
+        elif len(q) != grid.time.size:
             raise InputError(
-                f"{inflow} has {len(q)} time points over {found * factor['time']:g} s, but the "
-                f"model works at {grid.time.size} over {grid.period:g} s."
+                f"{inflow} has {len(q)} time points over the cycle, but the model works at "
+                f"{grid.time.size}: pass --interpolate."
             )
     else:
         q = read_columns(inflow, "time", grid.time, factor["time"])
     if any_grid:
         where["z"], s_u = _read(area, "z")
+        _check_sorted(area, "z", where["z"])
     else:
         s_u = read_columns(area, "z", grid.z, factor["z"], interpolate=interpolate)
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))

@@ -181,11 +181,13 @@ def check_plausible(
     """
     inflow, area, grid = inputs.inflow[chosen], inputs.area_undeformed[chosen], inputs.grid
     mean, largest = inflow.mean(axis=1), np.abs(inflow).max(axis=1)
-    backward = mean < -1e-3 * largest
-    rule = "the cycle's mean inflow must not be negative: flow into the vessel is positive (mL/s)"
-    check_values("the mean of inflow", mean, backward, rule)
-    rule = "there is no flow; give the flow rate at the inlet (mL/s) over one cycle"
-    check_values("the largest inflow", largest, largest == 0, rule)
+    for wrong, what in (
+        (mean < -1e-3 * largest, "is negative: flow into the vessel is positive; change the sign"),
+        (largest == 0, "is zero: give the flow rate at the inlet (mL/s) over one cycle"),
+    ):
+        if wrong.any():
+            case, value = int(np.flatnonzero(chosen)[wrong.argmax()]), mean[wrong.argmax()]
+            raise InputError(f"The mean inflow of case {case}, {value:.4g} mL/s, {what}.")
     if "time" in stated and "flow" not in stated:
         _check_single(inflow)
     sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)

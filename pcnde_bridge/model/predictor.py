@@ -154,6 +154,9 @@ class Predictor(Displayed, ABC):
         SolveError
             If the equations diverge for an input.
         """
+        if not isinstance(self, Predictor):
+            what = "predict needs a model: load_model(path).predict(inflow, area_undeformed)"
+            raise InputError(f"{what}, got {self!r:.80}.")
         given = inflow, area_undeformed, z, period, units
         prediction = self._solve(self._prepare(None, samples, seed, outlet, *given))
         _warn_of_pressure(prediction, outlet)
@@ -272,10 +275,13 @@ class Predictor(Displayed, ABC):
             worst = int(novelty.argmax())
             beyond = {name: score[worst] for name, score in scores.items() if score[worst] > EDGE}
             ranked = sorted(beyond, key=lambda name: -beyond[name])
+            count, verb = outside.sum(), "lies" if outside.sum() == 1 else "lie"
+            several = f"{count} of {len(novelty)} cases {verb} outside the training data; "
+            several += f"the farthest is case {worst}, in "
             warnings.warn(
-                f"{outside.sum()} of {len(novelty)} cases lie outside the training data; the "
-                f"farthest is case {worst}, in "
-                + ", ".join(f"{name} (score {beyond[name]:.2f})" for name in ranked)
+                (several if len(novelty) > 1 else "The case lies outside the training data, in ")
+                # 1.00 would be inside.
+                + ", ".join(f"{name} (score {max(beyond[name], 1.01):.2f})" for name in ranked)
                 + "; 1 is the limit of the tested range. The prediction extrapolates.",
                 OutsideTrainingWarning,
                 stacklevel=3,
@@ -285,6 +291,18 @@ class Predictor(Displayed, ABC):
     def _random_numbers(self, samples: int, seed: int, count: int) -> RandomNumbers | None:
         """Return the random numbers of the samples of ``count`` cases."""
         seed = whole("seed", seed)
+        if (spread := self.check_samples(samples)) is None:
+            return None
+        return RandomNumbers.generate(spread, samples, count, np.random.default_rng(seed))
+
+    def check_samples(self, samples: int) -> Uncertainty | None:
+        """Return the source of samples, None for no samples, or raise if there is none.
+
+        Raises
+        ------
+        InputError
+            If the model has no samples, or their number is 1.
+        """
         if samples == 0:
             return None
         if samples == 1:
@@ -298,7 +316,7 @@ class Predictor(Displayed, ABC):
                 "presets fit an ensemble (Ensemble.fit, pcnde fit --members 5), which has "
                 "intervals without samples."
             )
-        return RandomNumbers.generate(self.uncertainty, samples, count, np.random.default_rng(seed))
+        return self.uncertainty
 
     def check_grid(self, cases: Cases) -> None:
         """Raise unless the model predicts on the grid of these cases.

@@ -223,7 +223,9 @@ def test_our_own_errors_and_ctrl_c_pass_unchanged(tmp_path, error):
 
 def test_missing_files_and_folders_cannot_be_read(tmp_path):
     for check in (lambda path: check_file(path, "a thing"), lambda path: enter(path)):
-        with pytest.raises(DataNotFoundError, match=r"There is no file .*absent; check the path"):
+        with pytest.raises(
+            DataNotFoundError, match=r"There is no file .*absent \(a thing\); check the path"
+        ):
             check(tmp_path / "absent")
         with pytest.raises(FileError, match="is a folder, not a thing"):
             check(tmp_path)

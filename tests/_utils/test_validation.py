@@ -78,16 +78,14 @@ def test_the_first_value_that_is_not_finite_is_named():
     check_finite("x", np.zeros((2, 3)))
     with pytest.raises(InputError, match=r"x\[1, 0\] is nan: all values must be finite; 2 values"):
         check_finite("x", np.array([[0.0, 1.0], [np.nan, np.inf]]))
-    with pytest.raises(InputError, match=r"^x is inf: .*; 1 value of x is wrong"):
+    with pytest.raises(InputError, match=r"^x is inf: all values must be finite$"):
         check_finite("x", np.array(np.inf))
 
 
 @pytest.mark.parametrize("values", [[0.0, 1.0, 1.0], [0.0, 1.0, 0.5], [0.0, 1.0, np.nan]])
 def test_rows_that_do_not_increase_are_refused(values):
     check_increasing("z", np.array([0.0, 1.0, 1.5]))
-    with pytest.raises(
-        InputError, match=r"z\[2\] is .*: z must be strictly increasing \(cm\); 1 v"
-    ):
+    with pytest.raises(InputError, match=r"z\[2\] is .*: z must be strictly increasing \(cm\)$"):
         check_increasing("z", np.array(values), "cm")
 
 

@@ -455,10 +455,12 @@ def test_predict_names_the_files_that_it_wrote(folder, tmp_path, run):
 
 
 def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
-    def refused(model="model.pcnde", inflow="inflow.csv", area="area.csv", out="result.csv"):
+    def refused(
+        *options, model="model.pcnde", inflow="inflow.csv", area="area.csv", out="result.csv"
+    ):
         code, printed, err = run(
             "predict", folder / model, "--inflow", folder / inflow, "--area", folder / area,
-            "--out", tmp_path / out, "--engine", "jax",
+            "--out", tmp_path / out, "--engine", "jax", *options,
         )  # fmt: skip
         assert (code, printed) == (2, "")
         return err
@@ -466,8 +468,9 @@ def test_predict_refuses(folder, tmp_path, run, small_model, monkeypatch):
     assert "must end in .csv" in refused(out="result.txt")
     assert "must end in .csv" in refused(out="result")
     assert "There is no file" in refused(model="nowhere")
-    assert "nowhere.csv; check the path" in refused(inflow="nowhere.csv")
+    assert "nowhere.csv (a table of" in refused(inflow="nowhere.csv")
     assert "must have the columns time" in refused(inflow="area.csv")
+    assert "fit an ensemble" in refused("--samples", 8, inflow="area.csv")
     assert "must have the columns z" in refused(area="inflow.csv")
     assert "Cannot write" in refused(out="nowhere/result.csv")
     assert "is named twice: it would be overwritten" in refused(out=folder / "inflow.csv")

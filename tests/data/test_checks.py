@@ -22,12 +22,12 @@ def changed(cases, name, place, value):
 @pytest.mark.parametrize(
     ("name", "place", "value", "message"),
     [
-        ("flow", (3, 17, 20), np.nan, r"flow\[3, 17, 20\] is nan: all values must be finite; 1 va"),
+        ("flow", (3, 17, 20), np.nan, r"flow\[3, 17, 20\] is nan: all values must be finite$"),
         ("flow", (3, 17), np.inf, r"flow\[3, 17, 0\] is inf: .*; 21 values of flow are wrong"),
         ("pressure", (0, 0, 1), -np.inf, r"pressure\[0, 0, 1\] is -inf"),
         ("area", (11, 2, 5), -0.1, r"area\[11, 2, 5\] is -0\.1: areas must be positive"),
         ("area_undeformed", (2, 5), 0, r"area_undeformed\[2, 5\] is 0\.0: areas must be positive"),
-        ("z", 4, 0.1, r"z\[4\] is 0\.1: z must be strictly increasing \(cm\); 1 value of z is"),
+        ("z", 4, 0.1, r"z\[4\] is 0\.1: z must be strictly increasing \(cm\)$"),
         ("time", 3, 0.16, r"time\[3\] is 0\.16: time must have uniform steps \(here 0\.05 s\)"),
         ("time", 3, np.nan, r"time\[3\] is nan"),
     ],

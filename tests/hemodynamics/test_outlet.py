@@ -59,8 +59,21 @@ def test_files_keep_outlets(outlet):
 
 
 @pytest.mark.parametrize(
-    "values", [None, {"kind": "Pump"}, {"kind": "Windkessel"}, {"kind": "Reflection", "gamma": 1.0}]
+    ("values", "message"),
+    [
+        (None, "An outlet needs a kind"),
+        ({"kind": "Pump"}, "An outlet needs a kind"),
+        ({"kind": "Windkessel"}, r"Windkessel has the fields \['resistance', .*\], got \[\]"),
+        (
+            {"kind": "Reflection", "gamma": 1.0},
+            r"Reflection has the fields \['coefficient', 'distal_pressure'\], got \['gamma'\]",
+        ),
+        (
+            {"kind": "Windkessel", "resistance": 1.0, "distal_pressure": {"average": 1.0}},
+            r"Waveform has the fields \['mean', .*\], got \['average'\]",
+        ),
+    ],
 )
-def test_other_content_is_an_error(values):
-    with pytest.raises(InputError, match="outlet"):
+def test_other_content_is_an_error(values, message):
+    with pytest.raises(InputError, match=message):
         outlet_from(values)

@@ -275,7 +275,9 @@ def test_load_cases_refuses(tmp_path):
     with pytest.raises(DataNotFoundError, match="holds no folders named case_G_W"):
         load_cases(tmp_path)
     (tmp_path / "data.csv").write_text("1,2")
-    with pytest.raises(FileError, match=r"must end in one of .*; run pcnde convert .*data.csv"):
+    with pytest.raises(
+        FileError, match=r"must end in one of .*; run pcnde convert .*data.csv .*--from csv first"
+    ):
         load_cases(tmp_path / "data.csv")
 
 

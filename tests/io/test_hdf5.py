@@ -26,8 +26,8 @@ def test_reads_hdf5_of_others_and_of_ours(small_cases, vessel, tmp_path):
     names |= {"area_undeformed": "A0", "time": "t", "z": "s"}
     found = read_hdf5(tmp_path / "theirs.h5", names=names)
     np.testing.assert_allclose(found.pressure[0], vessel.pressure, rtol=1e-14)
-    with pytest.raises(InputError, match=r"it can name the paths of \['flow'"):
-        read_hdf5(tmp_path / "theirs.h5", names={"Q": "flow"})
+    with pytest.raises(InputError, match=r"theirs.h5: it has no array flw \(.*; it has \['A0'"):
+        read_hdf5(tmp_path / "theirs.h5", names={**names, "wall_shear_stress": "flw"})
 
 
 def test_text_of_hdf5_is_unicode_however_it_is_stored(vessel, tmp_path):
@@ -92,8 +92,21 @@ def test_units_of_the_caller_count_before_those_of_the_file(vessel, file):
 
 def test_names_are_paths(file):
     path = file("flow", "mL/s")
-    with pytest.raises(InputError, match="names has 'flow': 3; it can name the paths"):
+    with pytest.raises(InputError, match="names has 'flow': 3; give the path of an array"):
         read_hdf5(path, names={"flow": 3})
+
+
+def test_labels_beside_the_other_arrays(small_cases, tmp_path):
+    """They are also read without the group of labels, and under names of the caller's."""
+    small_cases.save(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["geometry"], file["patient"] = file["labels/geometry"][()], file["labels/waveform"][()]
+        del file["labels"], file.attrs["format"]
+    names = {"waveform": "/patient", "patient": "patient"}
+    found = read_hdf5(tmp_path / "a.h5", names=names).labels
+    keys = ["geometry", "waveform"]
+    assert found[keys].equals(small_cases.labels[keys])
+    assert found["patient"].equals(found["waveform"].rename("patient"))
 
 
 def test_wall_shear_stress_has_a_name_and_a_unit(sheared_vessel, tmp_path):

@@ -373,7 +373,21 @@ def test_messages_for_a_model_of_one_grid(read):
         read("time,a\n0,1\n0.5,1\n0.25,1\n0.75,1\n")
     with pytest.raises(InputError, match=r"works at 0\.25 s: pass --interpolate"):
         read("time,a\n0,1\n0.3,1\n0.5,1\n0.75,1\n")
+    with pytest.raises(InputError, match=r"predicts cycles of 1 s only, .* the preset physics"):
+        read("time,a\n0,1\n0.2,1\n0.4,1\n0.6,1\n")
     assert np.array_equal(read("t,Q\n0,1\n0.25,1\n0.5,1\n0.75,1\n"), np.ones((1, 4)))
+
+
+@pytest.mark.parametrize("options", [{"interpolate": True}, {"period": 0.9}, {}])
+def test_a_model_of_one_period_refuses_others_at_once(tmp_path, options):
+    grid = Grid(np.arange(20) / 20, np.linspace(0, 4, 11), 1.0)
+    pd.DataFrame({"time": 0.9 * grid.time, "q": 1.0}).to_csv(tmp_path / "q.csv", index=False)
+    pd.DataFrame({"z": grid.z[::-1], "s": 0.1}).to_csv(tmp_path / "s.csv", index=False)
+    both = tmp_path / "q.csv", tmp_path / "s.csv", grid
+    with pytest.raises(InputError, match=r"this model predicts cycles of 1 s only.*physics"):
+        read_inputs(*both, any_grid=False, **options)
+    with pytest.raises(InputError, match=r"s\.csv, line 3: z must increase: sort the rows by z"):
+        read_inputs(*both, any_grid=True, period=0.9)
 
 
 def test_messages_for_a_model_of_any_grid(tmp_path):

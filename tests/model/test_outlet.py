@@ -120,7 +120,7 @@ def test_only_the_preset_physics_takes_outlets(small_model, small_cases, toy_eng
 @pytest.mark.parametrize(
     ("outlet", "words"),
     [
-        (8e4, "must be an outlet such as"),
+        ({"kind": "Reflection"}, r"such as Windkessel\(resistance=1e4\), .* Reflection, got {"),
         (Windkessel(np.ones(3)), "one for each of 16 cases"),
         (Windkessel(8e4, distal_pressure=Waveform(1.0, period=0.8)), "period of 0.8 s"),
     ],

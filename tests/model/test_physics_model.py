@@ -444,11 +444,11 @@ def test_stronger_inflow_and_narrower_and_longer_vessels_are_outside(model):
     ):
         score, text = scored(model, *arguments, **options)
         assert list(np.flatnonzero(score > 1 + 1e-9)) == [case]
-        assert "1 of 16 cases lie outside" in text
+        assert "1 of 16 cases lies outside" in text
         assert f"case {case}, in {what} (score {score[case]:.2f}" in text
     score, text = scored(model, INFLOW, AREA, z=1.3 * Z)
     assert (score > 1).all()
-    assert "16 of 16" in text
+    assert "16 of 16 cases lie outside" in text
     assert "length of the vessel (score 3.00)" in text
     assert "length of the stenosis (score 3.00)" in text
 
@@ -457,6 +457,13 @@ def test_warning_points_at_the_caller(model):
     with pytest.warns(OutsideTrainingWarning) as caught:
         model.predict(2 * INFLOW, AREA)
     assert caught[0].filename == __file__
+
+
+def test_warning_of_a_single_case_just_beyond_the_edge(model):
+    middle, half = model.novelty.ranges[:, 0]
+    inflow = INFLOW[5] + (middle + 1.001 * half - INFLOW[5].mean())
+    _, text = scored(model, inflow, AREA[5])
+    assert text.startswith("The case lies outside the training data, in mean flow (score 1.01)")
 
 
 # ---- command line ------------------------------------------------------------

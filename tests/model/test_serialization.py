@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -138,10 +139,18 @@ def test_a_loaded_models_grid_cannot_be_changed_by_its_predictions(
 
 
 def test_a_data_set_and_a_model_in_place_of_each_other(small_cases, small_model, tmp_path):
-    small_cases.save(tmp_path / "cases.npz")
+    for name in ("cases.npz", "cases.h5"):
+        small_cases.save(tmp_path / name)
+    (tmp_path / "cases.csv").write_text("flow\n1\n")
     small_model.save(tmp_path / "model.npz")
     for load in (PCNDE.load, load_model):
-        with pytest.raises(FileError, match="not a pcnde_bridge model but a data set"):
-            load(tmp_path / "cases.npz")
+        fit = r"Fit a model first: pcnde fit .* --out model.npz"
+        for name, what in (("npz", "but a data set"), ("h5", "it is an HDF5"), ("csv", "no .npz")):
+            with pytest.raises(FileError, match=f"not a pcnde_bridge model.*{what}.*{fit}"):
+                load(tmp_path / f"cases.{name}")
+    with pytest.raises(InputError, match=r"needs a model: load_model\(path\).*got 'model.npz'"):
+        PCNDE.predict("model.npz", small_cases)
+    with h5py.File(tmp_path / "other.h5", "w"), pytest.raises(FileError, match="--from hdf5"):
+        Cases.load(tmp_path / "other.h5")
     with pytest.raises(FileError, match="not a pcnde_bridge data set but a 'pcnde-model' file"):
         Cases.load(tmp_path / "model.npz")
