@@ -26,5 +26,5 @@ def require(module: str, extra: str) -> ModuleType:
     except ImportError as error:
         raise MissingExtraError(
             f"This needs the package {module.partition('.')[0]}, which is not installed: "
-            f'pip install "pcnde-bridge[{extra}]" ({error}).'
+            f'pip install ".[{extra}]" in the folder of this package\'s source ({error}).'
         ) from error

@@ -4,7 +4,7 @@
 
     ensemble = Ensemble.fit(cases, executor=4)  # processes
 
-On a cluster, with ``dask`` (``pip install "pcnde-bridge[dask]" dask-jobqueue``), here with
+On a cluster, with ``dask`` (``pip install ".[dask]" dask-jobqueue``), here with
 20 jobs of SLURM, one core each; a job that ends early is replaced::
 
     from dask.distributed import Client

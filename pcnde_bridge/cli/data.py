@@ -100,6 +100,7 @@ def design(
     Candidates are all pairs of vessel and inflow. With --done, choose further simulations,
     train a model (preset physics) on the finished ones, and estimate its errors for all pairs.
     """
+    from pcnde_bridge._utils.validation import listed
     from pcnde_bridge.data.selection import case_keys, pair_positions
     from pcnde_bridge.evaluation import design as designs
     from pcnde_bridge.io.datasets import load_cases
@@ -110,6 +111,12 @@ def design(
     candidates, labels = designs.all_pairs(*given, units=units_of(units))
     finished = None if done is None else load_cases(str(done))
     pairs = [] if finished is None else case_keys(finished.labels)
+    if foreign := sorted({*pairs}.difference(case_keys(labels))):
+        raise InputError(
+            f"{done} has the cases (geometry, waveform) {listed(foreign, 4)}, but geometries are "
+            f"the columns of {area}, 1 to {labels['geometry'].max()}, and waveforms those of "
+            f"{inflow}, 1 to {labels['waveform'].max()}: label the simulations so."
+        )
     positions = pair_positions(labels, pairs, str(done)).tolist() if pairs else []
     count = count or max(1, min(6, len(labels) - len(positions)))
     chosen = designs.choose(candidates, count, done=positions)

@@ -50,7 +50,7 @@ Took {seconds:.0f} s. In {folder}:
   errors.csv          errors of every case; history.csv, the loss of every iteration
   prediction.csv.gz   flow, area and pressure of the test cases
 Put your own waveform and vessel into these two files, and predict them:
-  pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv \
+  pcnde predict {folder}/model.npz --inflow {folder}/inflow.csv --area {folder}/area.csv \\
     --samples 64 --out mine.csv --indices indices.csv
 Explore the model on a page, or compare it with simpler methods:
   pcnde app {folder}/model.npz

@@ -235,10 +235,9 @@ class ResponseSurface:
                 len(np.unique(array, axis=0)) for array in (train.inflow, train.area_undeformed)
             )
             raise InputError(
-                f"The response surface has {n_terms} coefficients for each value, of which "
-                f"{len(train)} training cases with {waveforms} different waveforms and "
-                f"{geometries} different geometries determine {rank}; use smaller degrees or "
-                "fewer components."
+                f"This polynomial has {n_terms} coefficients, but the {len(train)} training cases "
+                f"({waveforms} different waveforms, {geometries} different geometries) suffice for "
+                f"{rank} only: use smaller degrees, fewer components or more cases."
             )
         inverse = np.linalg.pinv(features)
         self._axes, self._grid = axes, train.grid

@@ -424,7 +424,7 @@ def test_a_missing_extra_is_reported(model, tmp_path, run_pcnde, monkeypatch):
     model.save(tmp_path / "model.npz")
     code, _, errors = run_pcnde("app", tmp_path / "model.npz")
     assert code == 1
-    assert 'pip install "pcnde-bridge[app]"' in errors
+    assert 'pip install ".[app]"' in errors
 
 
 # ---- in a browser ------------------------------------------------------------

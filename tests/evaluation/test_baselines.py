@@ -125,14 +125,18 @@ def test_polynomial_components():
         (
             {"waveform": [0, 1, 2]},
             (3, 3),
-            "16 coefficients for each value, of which 12 training cases",
+            r"16 coefficients, but the 12 training cases",
         ),
         (
             {"waveform": [0, 1, 2]},
             (3, 1),
-            "8 coefficients .* 3 different waveforms and 4 different geometries determine 6",
+            r"8 coefficients, .* \(3 different waveforms, 4 different geometries\) suffice for 6",
         ),
-        ({"geometry": [0, 1]}, (1, 2), "6 coefficients .* 2 different geometries determine 4"),
+        (
+            {"geometry": [0, 1]},
+            (1, 2),
+            "6 coefficients, .* 2 different geometries.* suffice for 4 only",
+        ),
     ],
 )
 def test_polynomial_needs_enough_cases(select, degrees, message):

@@ -50,7 +50,7 @@ def test_units_are_converted_and_implausible_candidates_are_refused(arrays):
     assert found.grid.z == pytest.approx(grid.z)
     with pytest.raises(InputError, match="unit"):
         design.all_pairs(*millimeters)
-    with pytest.raises(InputError, match="must not be negative"):
+    with pytest.raises(InputError, match=r"mean inflow of case 0, .* is negative"):
         design.all_pairs(-inflow, area, grid)
 
 
@@ -152,11 +152,16 @@ def test_command_with_finished_simulations(physics_cases, tmp_path, run_pcnde):
     )
     arrays = physics_cases.inflow[geometry == 1], physics_cases.area_undeformed[waveform == 1]
     given = write_tables(tmp_path, *arrays, physics_cases.grid)
-    cases = Cases(
-        *(getattr(physics_cases, name) for name in (*VARIABLES, "area_undeformed", "time", "z")),
-        period=physics_cases.period,
-        labels={"geometry": geometry, "waveform": waveform},
-    )
+    names = (*VARIABLES, "area_undeformed", "time", "z")
+    fields = {name: getattr(physics_cases, name) for name in (*names, "period")}
+    cases = Cases(**fields, labels={"geometry": geometry, "waveform": waveform})
+    other = Cases(**fields, labels={"geometry": geometry + 4, "waveform": waveform})
+    other.save(tmp_path / "other.npz")
+    other_done = "--done", tmp_path / "other.npz"
+    code, _, err = run_pcnde("design", *given, "--out", tmp_path / "runs", *other_done)
+    assert code == 2
+    assert "other.npz has the cases (geometry, waveform) (5, 1), " in err
+    assert "1 to 4: label the simulations so" in err
     cases.select(slice(0, 12)).save(tmp_path / "done.npz")
     done = "--done", tmp_path / "done.npz"
     code, out, _ = run_pcnde("design", *given, "--out", tmp_path / "runs", "--count", 2, *done)
