@@ -133,7 +133,10 @@ def design(
 def download(
     folder: Path | None = option(None, "Folder of the files instead of the cache.", "--cache"),
 ) -> None:
-    """Download the published data set (100 cases, about 50 MB)."""
+    """Download the published data set (100 cases, about 50 MB).
+
+    If a folder already has it, set the environment variable PCNDE_DATA to that folder instead.
+    """
     from pcnde_bridge.io.datasets import download_published
 
     say(f"The data set is in {download_published(folder)}.")

@@ -166,7 +166,10 @@ class Cases(VesselQuantities):
         return [f"{counted(self.n_cases, 'case')}: {kinds}", *self.grid._facts(), *more]
 
     def plot(self) -> Figure:
-        """Plot waveforms and geometries, by :func:`pcnde_bridge.plots.data_set`."""
+        """Plot waveforms and geometries, by :func:`pcnde_bridge.plots.data_set`.
+
+        Save the figure that it returns: ``cases.plot().savefig("cases.png")``.
+        """
         return draw("data_set", self)
 
     def __eq__(self, other: object) -> bool:

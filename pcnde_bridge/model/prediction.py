@@ -92,6 +92,8 @@ class Prediction(VesselQuantities):
     ) -> Figure:
         """Plot a case, by :func:`pcnde_bridge.plots.time_and_space`, which has the arguments.
 
+        Save the figure that it returns: ``prediction.plot().savefig("case.png")``.
+
         Raises
         ------
         InputError
