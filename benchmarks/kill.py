@@ -135,7 +135,7 @@ def kill(folder: Path, kind: str, preset: str, times: int, engine: str, rng: ran
                         print(error)
                     else:
                         at = (
-                            f"{state['finished']} of {state['units']}" if path == checkpoint else at
+                            f"{state['finished']} of {state['steps']}" if path == checkpoint else at
                         )
             print(f"{preset}: kill {kills}, {at} finished", flush=True)
             continue
