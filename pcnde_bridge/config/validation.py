@@ -164,9 +164,10 @@ def _checked(value: Any, hint: Any, where: str, rule: str) -> Any:
         return value
     try:
         number = hint(value)  # from a number of another library, such as numpy
+        is_finite = math.isfinite(number)
     except OverflowError:  # an integer beyond all floats
-        number = math.inf
-    if not math.isfinite(number):
+        is_finite = False
+    if not is_finite:
         rule = "finite"
     elif rule == "any number" or number > 0 or (number == 0 and rule == "at least 0"):
         return number

@@ -144,6 +144,8 @@ def test_integers_are_converted_to_floats():
     assert density == 1.0
     with pytest.raises(InputError, match=r"Physics\.density must be finite"):
         PAPER.replace(physics={"density": 10**400})
+    with pytest.raises(InputError, match=r"batch_size must be finite"):
+        PAPER.replace(batch_size=10**400)
 
 
 def test_numpy_numbers_are_converted_to_python_numbers():
