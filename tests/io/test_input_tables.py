@@ -252,6 +252,12 @@ def test_an_end_point_that_is_nearly_the_start_is_suggested(tmp_path):
         read_cycle(tmp_path / "q.csv", 0.0, 1.0)
 
 
+def test_a_number_of_400_digits_is_refused(read):
+    with pytest.raises(InputError, match=r"not a number|must be finite|works at"):
+        found = read(f"time,a\n{'9' * 400},1\n0.25,1\nx,1\n0.75,1\n")
+        raise AssertionError(found)
+
+
 def test_a_missing_row_does_not_change_the_period(tmp_path):
     """Without it the mean step is another one."""
     time = np.delete(np.arange(100) / 100, 40)
