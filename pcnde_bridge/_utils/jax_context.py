@@ -5,7 +5,6 @@ fit compiles nothing.  Its keys contain the function, JAX's version and its opti
 """
 
 import hashlib
-import importlib
 import os
 import platform
 import shutil
@@ -177,11 +176,9 @@ def double_precision() -> Iterator[None]:
     import jax
 
     _store_compiled_functions()
-    # Newer versions of JAX have it at the top level, older ones only under "experimental".
-    module = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
     with (
         interrupts.watched(),
-        module.enable_x64(True),
+        jax.enable_x64(True),
         # The user may have set stricter rules for their own code.
         jax.numpy_rank_promotion("allow"),
         jax.numpy_dtype_promotion("standard"),
