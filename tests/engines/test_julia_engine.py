@@ -29,6 +29,8 @@ from pcnde_bridge.engines import select_engine
 from pcnde_bridge.engines.julia import runtime
 from pcnde_bridge.engines.julia.engine import JuliaEngine
 from pcnde_bridge.engines.julia.environment import (
+    EXECUTABLE,
+    PROJECT,
     JuliaStatus,
     core_version,
     julia_settings_file,
@@ -532,8 +534,12 @@ def test_a_spawned_worker_has_a_julia_of_its_own(engine, flow_problem):
 
 
 def run(code: str, input=None, cwd=None, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh Python, which does not inherit what this one's engine has set."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON_JULIACALL")}
+    """Run code in a fresh Python, which inherits only Julia and its project from the engine."""
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name in (EXECUTABLE, PROJECT) or not name.startswith("PYTHON_JULIACALL")
+    }
     done = subprocess.run(
         [sys.executable, "-c", code],
         input=input,
