@@ -110,9 +110,12 @@ def _opened(path: StrPath, kind: str, what: str) -> Any:
 
 def _advice(path: StrPath, kind: str) -> str:
     """Return how to create a file of a kind from another file."""
+    suffix = Path(path).suffix.lower()
+    if kind in _MODEL_KINDS and suffix in (".npz", ".h5", ".hdf5"):
+        return f" Fit a model first: pcnde fit {path} --preset physics --out model.npz."
     if kind in _MODEL_KINDS:
-        return f" Fit a model first: pcnde fit {path} --out model.npz."
-    if kind == "pcnde-cases" and Path(path).suffix.lower() != ".npz":
+        return " Pass a model's file, as pcnde fit writes it."
+    if kind == "pcnde-cases" and suffix != ".npz":
         return f" Convert it first: pcnde convert {path} --from hdf5 --out cases.h5."
     return ""
 

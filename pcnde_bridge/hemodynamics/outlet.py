@@ -9,7 +9,7 @@ where E is diagonal.  A state of E = 0 has no capacitance.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -315,7 +315,12 @@ def outlet_from(values: object) -> Outlet:
             return kind(**given)
         except TypeError as error:
             known, name = [field.name for field in fields(kind)], kind.__name__
-            raise InputError(f"{name} has the fields {known}, got {[*given]}.") from error
+            needed = [field.name for field in fields(kind) if field.default is MISSING]
+            wrong = [f"{each!r} is none of them" for each in given if each not in known]
+            wrong += [f"{each!r} is missing" for each in needed if each not in given]
+            raise InputError(
+                f"{name} has the fields {known}, got {[*given]}: {', '.join(wrong)}."
+            ) from error
 
     arguments = {name: restored(value) for name, value in values.items() if name != "kind"}
     outlet: Outlet = made(kinds[values["kind"]], arguments)

@@ -63,10 +63,13 @@ def test_files_keep_outlets(outlet):
     [
         (None, "An outlet needs a kind"),
         ({"kind": "Pump"}, "An outlet needs a kind"),
-        ({"kind": "Windkessel"}, r"Windkessel has the fields \['resistance', .*\], got \[\]"),
+        (
+            {"kind": "Windkessel"},
+            r"Windkessel has the fields \['resistance', .*\], got \[\]: 'resistance' is missing",
+        ),
         (
             {"kind": "Reflection", "gamma": 1.0},
-            r"Reflection has the fields \['coefficient', 'distal_pressure'\], got \['gamma'\]",
+            r"Reflection has the fields \['coefficient', .*\], got \['gamma'\]: 'gamma' is none",
         ),
         (
             {"kind": "Windkessel", "resistance": 1.0, "distal_pressure": {"average": 1.0}},

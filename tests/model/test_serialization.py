@@ -144,9 +144,13 @@ def test_a_data_set_and_a_model_in_place_of_each_other(small_cases, small_model,
     (tmp_path / "cases.csv").write_text("flow\n1\n")
     small_model.save(tmp_path / "model.npz")
     for load in (PCNDE.load, load_model):
-        fit = r"Fit a model first: pcnde fit .* --out model.npz"
-        for name, what in (("npz", "but a data set"), ("h5", "it is an HDF5"), ("csv", "no .npz")):
-            with pytest.raises(FileError, match=f"not a pcnde_bridge model.*{what}.*{fit}"):
+        fit = r"Fit a model first: pcnde fit .* --preset physics --out model.npz"
+        for name, what in (
+            ("npz", f"but a data set.*{fit}"),
+            ("h5", f"it is an HDF5.*{fit}"),
+            ("csv", "no .npz file. Pass a model's file"),
+        ):
+            with pytest.raises(FileError, match=f"not a pcnde_bridge model.*{what}"):
                 load(tmp_path / f"cases.{name}")
     with pytest.raises(InputError, match=r"needs a model: load_model\(path\).*got 'model.npz'"):
         PCNDE.predict("model.npz", small_cases)
