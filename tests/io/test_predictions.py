@@ -54,7 +54,7 @@ def test_a_missing_package_is_named_with_its_extra(
         raise ModuleNotFoundError(f"No module named {name!r}")
 
     monkeypatch.setattr("pcnde_bridge._utils.optional.importlib.import_module", refuse)
-    with pytest.raises(PCNDEError, match=rf'pip install "pcnde-bridge\[{extra}\]"') as caught:
+    with pytest.raises(PCNDEError, match=rf'pip install "\.\[{extra}\]"') as caught:
         use(prediction, tmp_path)
     assert isinstance(caught.value, ImportError)
 

@@ -87,7 +87,7 @@ def test_losses_are_found(cases, closures):
 
 def test_losses_are_fitted_again_without_some_cases(cases, closures):
     pressure = cases.pressure.copy()
-    pressure[:4] *= 1.2
+    pressure[:4] *= 1.1  # with which the cases are still plausible
     other = as_cases((cases.flow, cases.area, pressure))
 
     def fitted(some, left_out):
