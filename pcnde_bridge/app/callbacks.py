@@ -127,7 +127,7 @@ def _describe_numbers(explorer: Explorer, inputs: Inputs) -> list[Any]:
             lines.append(html.Strong(text))
             if isinstance(limits, Mapping):
                 low, high = (f"{limit[0]:.{digits}f}" for limit in limits[name])
-                lines.append(f"90 % interval {low} to {high}")
+                lines.append(html.Div(f"90 % interval {low} to {high}"))
     if numbers:
         lines.append(html.Small(f"Drop of Seeley and Young: {numbers['empirical']:.2f} mmHg"))
     return lines
