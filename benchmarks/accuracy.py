@@ -44,9 +44,11 @@ from pcnde_bridge.evaluation.baselines import (
     Solver1D,
     StenosisLoss,
     Unchanged,
+    itu,
+    mirramezani,
+    young_tsai,
 )
 from pcnde_bridge.evaluation.design import choose
-from pcnde_bridge.hemodynamics.pressure_losses import unsteady_pressure_drop
 from pcnde_bridge.model.metrics import coverage, pooled_errors
 
 
@@ -109,7 +111,9 @@ def measure_baselines(data: str, split: str, seed: int) -> dict[str, dict[str, d
         "no change": Unchanged(),
         "1D solver": Solver1D(FEM_WALL),
         "Seeley-Young": StenosisLoss(),
-        "Young-Tsai": StenosisLoss(unsteady_pressure_drop),
+        "Young-Tsai": StenosisLoss(young_tsai),
+        "Mirramezani": StenosisLoss(mirramezani),
+        "Itu": StenosisLoss(itu),
         "drop regression": DropRegression(),
     }
     for name, method in methods.items():

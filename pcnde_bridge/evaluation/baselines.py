@@ -18,6 +18,7 @@ from math import ceil
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
@@ -34,6 +35,7 @@ from pcnde_bridge.hemodynamics.tube_laws import PAPER_REFERENCE_PRESSURE, Linear
 
 _Fitted = TypeVar("_Fitted")
 
+_DENSITY, _VISCOSITY = 1.06, 0.04  # blood of the paper, g/cm³ and poise
 _ARTERY = LinearWall()
 FEM_WALL = LinearWall(0.75 * 1.5e7, reference_pressure=PAPER_REFERENCE_PRESSURE)
 """Wall of the paper's column "1D FEM", as far as it can be inferred.
@@ -44,8 +46,8 @@ in its place, which is three quarters of Young's modulus, the 1D solver here giv
 prints it, 0.0351, 0.0502 and 0.0607.
 """
 
-Loss = Callable[[Array, Array, Array, Array, float], Array]
-"""Pressure drop, dyn/cm², from Q, ∂Q/∂t, S_D, S_s and L_s."""
+Loss = Callable[[Cases, float], Array]
+"""Pressure drop of each case, dyn/cm², (case, time), from its inflow, S_u and the length L_s."""
 
 
 class Baseline(Protocol):
@@ -144,9 +146,36 @@ class Solver1D(_WithOutlet):
         return solved.variables()
 
 
-def seeley_young(flow: Array, rate: Array, healthy: Array, throat: Array, length: float) -> Array:
+def seeley_young(cases: Cases, length: float) -> Array:
     """Return the drop of Seeley and Young (1976) as the paper prints it; see :data:`Loss`."""
-    return np.asarray(pressure_losses.pressure_drop(flow, healthy, throat, length))
+    check_length(cases.z, cases.area_undeformed, length)
+    return np.asarray(pressure_losses.pressure_drop(cases.inflow, *_areas(cases), length))
+
+
+def young_tsai(cases: Cases, length: float) -> Array:
+    """Return the drop of Young and Tsai (1973); see :data:`Loss`."""
+    check_length(cases.z, cases.area_undeformed, length)
+    rate = rate_of(cases.inflow, cases.period)
+    drop = pressure_losses.unsteady_pressure_drop(cases.inflow, rate, *_areas(cases), length)
+    return np.asarray(drop)
+
+
+def mirramezani(cases: Cases, length: float) -> Array:
+    """Return the drop of Mirramezani et al. (2019), without L_s; see :data:`Loss`."""
+    resistance, _ = _elements(cases)
+    drop = pressure_losses.profile_pressure_drop(cases.inflow, resistance, *_areas(cases))
+    return np.asarray(drop)
+
+
+def itu(cases: Cases, length: float) -> Array:
+    """Return the drop of Itu et al. (2013), without L_s; see :data:`Loss`."""
+    flow, rate = cases.inflow, rate_of(cases.inflow, cases.period)
+    healthy, throat = _areas(cases)
+    womersley = np.sqrt(2 * healthy * _DENSITY / (_VISCOSITY * cases.period))
+    drop = pressure_losses.unsteady_profile_pressure_drop(
+        flow, rate, flow.mean(axis=1, keepdims=True), *_elements(cases), healthy, throat, womersley
+    )
+    return np.asarray(drop)
 
 
 @dataclass(eq=False)
@@ -159,9 +188,9 @@ class StenosisLoss(Unchanged):
     Parameters
     ----------
     loss : callable
-        Function of Q (mL/s) and ∂Q/∂t (mL/s²), each of shape (case, time), and of S_D, S_s
-        (cm²) and L_s (cm), which returns the drop, dyn/cm².  By default it is that of Seeley
-        and Young as the paper prints it.
+        Function of cases and L_s (cm), which returns the drop, dyn/cm², of shape (case, time):
+        :func:`seeley_young` by default, :func:`young_tsai`, :func:`mirramezani`, :func:`itu`
+        or your own.
     stenosis_length : float
         Length L_s of the stenosis, cm.
     """
@@ -172,9 +201,7 @@ class StenosisLoss(Unchanged):
     def predict(self, cases: Cases) -> dict[str, Array]:
         """Predict the inflow, the undeformed area and the loss; see :class:`Baseline`."""
         found = super().predict(cases)
-        flow, rate = cases.inflow, rate_of(cases.inflow, cases.period)
-        check_length(cases.z, cases.area_undeformed, self.stenosis_length)
-        drop = self.loss(flow, rate, *_areas(cases), self.stenosis_length)
+        drop = self.loss(cases, self.stenosis_length)
         return found | {"pressure": found["pressure"] + _upstream(drop, cases)}
 
 
@@ -343,6 +370,23 @@ def _areas(cases: Cases) -> tuple[Array, Array]:
     return healthy[:, None], (ratios * healthy)[:, None]
 
 
+def _elements(cases: Cases) -> tuple[Array, Array]:
+    """Return R = 8πμ·∫dz/S_u² and L = ρ·∫dz/S_u of the measured section, each (case, 1).
+
+    Units are dyn·s/cm⁵ and dyn·s²/cm⁵; see
+    :func:`pcnde_bridge.data.stenosis.measuring_positions`.
+    """
+    positions = np.stack(measuring_positions(cases.z, cases.area_undeformed), axis=1)
+
+    def integral(values: Array) -> Array:
+        total = cumulative_trapezoid(values, cases.z, initial=0)
+        pairs = zip(positions, total, strict=True)
+        return np.array([np.diff(np.interp(ends, cases.z, along)) for ends, along in pairs])
+
+    area = cases.area_undeformed
+    return 8 * np.pi * _VISCOSITY * integral(area**-2), _DENSITY * integral(1 / area)
+
+
 def _upstream(drop: Array, cases: Cases) -> Array:
     """Return a drop (case, time) up to the throat and 0 behind it, (case, time, z)."""
     points, _ = throats(cases.z, cases.area_undeformed)
@@ -397,7 +441,7 @@ def standard_baselines() -> dict[str, Baseline]:
     They are :class:`Unchanged`; :class:`Solver1D` undeformed at zero pressure, undeformed at
     the paper's reference pressure of 100 mmHg, and with :data:`FEM_WALL`;
     :class:`ResponseSurface` of degrees 3 and 3; :class:`StenosisLoss` with the drops of Seeley
-    and Young and of Young and Tsai; and :class:`DropRegression`.
+    and Young, Young and Tsai, Mirramezani et al. and Itu et al.; and :class:`DropRegression`.
     """
     return {
         "no change": Unchanged(),
@@ -406,6 +450,8 @@ def standard_baselines() -> dict[str, Baseline]:
         "1D, as paper": Solver1D(FEM_WALL),
         "polynomial": ResponseSurface(),
         "Seeley-Young": StenosisLoss(),
-        "Young-Tsai": StenosisLoss(pressure_losses.unsteady_pressure_drop),
+        "Young-Tsai": StenosisLoss(young_tsai),
+        "Mirramezani": StenosisLoss(mirramezani),
+        "Itu": StenosisLoss(itu),
         "drop regression": DropRegression(),
     }

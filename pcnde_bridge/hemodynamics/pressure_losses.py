@@ -1,4 +1,4 @@
-"""Pressure drop along a stenosis after Seeley and Young (1976) and Young and Tsai (1973).
+"""Published formulas of the pressure drop along a stenosis.
 
 The form of Seeley and Young in the paper is
 
@@ -6,7 +6,8 @@ The form of Seeley and Young in the paper is
 
 with S_D and D₀ the area and diameter of the healthy vessel upstream, S_s the
 smallest area and L_s the length of the stenosis, and Re = ρ·|Q|·D₀/(S_D·μ).
-:func:`unsteady_pressure_drop` adds the inertia of Young and Tsai.
+:func:`unsteady_pressure_drop` adds the inertia of Young and Tsai.  :func:`profile_pressure_drop`
+and :func:`unsteady_profile_pressure_drop` integrate the friction over the area instead.
 
 Only arithmetic operators and ``abs`` are used, so that every function takes
 numpy and JAX arrays alike, of any shapes that broadcast.  Units are CGS.
@@ -171,3 +172,84 @@ def unsteady_pressure_drop(
         flow, area_healthy, area_throat, effective, *blood, turbulent_coefficient
     )
     return steady + inertial_coefficient * density * length * flow_rate_of_change / area_healthy
+
+
+def profile_pressure_drop(
+    flow: Any,
+    resistance: Any,
+    area_healthy: Any,
+    area_throat: Any,
+    density: float = 1.06,
+    turbulent_coefficient: float = 1.52,
+) -> Any:
+    """Return the pressure drop of Mirramezani et al. (2019), dyn/cm².
+
+    Δp = R·Q + K_t·ρ·Q·|Q|/(2·S_D²)·(S_D/S_s − 1)², with Poiseuille's resistance along the vessel,
+    R = 8πμ·∫dz/S², for a straight vessel (Mirramezani, Diamond, Litt and Shadden 2019, J. Biomech.
+    Eng. 141:031011; Mirramezani and Shadden 2020, Ann. Biomed. Eng. 48:2870).
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s.
+    resistance : array, shape (...)
+        R, dyn·s/cm⁵.
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    density : float
+        ρ, g/cm³.
+    turbulent_coefficient : float
+        K_t.
+
+    Returns
+    -------
+    array, shape (...)
+        Drop, broadcast over all arguments.
+    """
+    expansion = turbulent_drop(flow, area_healthy, area_throat, density, turbulent_coefficient)
+    return resistance * flow + expansion
+
+
+def unsteady_profile_pressure_drop(
+    flow: Any,
+    flow_rate_of_change: Any,
+    mean_flow: Any,
+    resistance: Any,
+    inertance: Any,
+    area_healthy: Any,
+    area_throat: Any,
+    womersley: Any,
+    density: float = 1.06,
+) -> Any:
+    """Return the pressure drop of Itu et al. (2013) in pulsatile flow, dyn/cm².
+
+    Δp = K_v·R·Q + K_t·ρ·Q·|Q|/(2·S_D²)·(S_D/S_s − 1)² + K_u·L·∂Q/∂t + K_c·R·Q_mean, with
+    K_v = 1 + 0.053·(S_s/S_D)·α², K_t = 1.52, K_u = 1.2, K_c = 0.0018·α²,
+    R = 8πμ·∫dz/S² and L = ρ·∫dz/S (Itu et al. 2013, Ann. Biomed. Eng. 41:669).
+
+    Parameters
+    ----------
+    flow : array, shape (...)
+        Q, mL/s.
+    flow_rate_of_change : array, shape (...)
+        ∂Q/∂t, mL/s².
+    mean_flow : array, shape (...)
+        Mean Q of a cycle, mL/s.
+    resistance, inertance : array, shape (...)
+        R (dyn·s/cm⁵) and L (dyn·s²/cm⁵).
+    area_healthy, area_throat : array, shape (...)
+        S_D and S_s, cm².
+    womersley : array, shape (...)
+        Womersley number α of the healthy vessel, r·(2πρ/(μT))^½.
+    density : float
+        ρ, g/cm³.
+
+    Returns
+    -------
+    array, shape (...)
+        Drop, broadcast over all arguments.
+    """
+    oscillation = 0.053 * area_throat / area_healthy * womersley**2
+    steady = profile_pressure_drop(flow, resistance, area_healthy, area_throat, density)
+    mean = 0.0018 * womersley**2 * resistance * mean_flow
+    return steady + oscillation * resistance * flow + 1.2 * inertance * flow_rate_of_change + mean

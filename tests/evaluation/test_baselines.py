@@ -9,6 +9,7 @@ from pcnde_bridge import (
     Cases,
     InputError,
 )
+from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.evaluation.baselines import (
     FEM_WALL,
@@ -17,7 +18,10 @@ from pcnde_bridge.evaluation.baselines import (
     Solver1D,
     StenosisLoss,
     Unchanged,
+    itu,
+    mirramezani,
     standard_baselines,
+    young_tsai,
 )
 from pcnde_bridge.evaluation.benchmark import bench_baseline
 from pcnde_bridge.hemodynamics import pressure_losses
@@ -193,16 +197,30 @@ def test_published_losses_are_added_up_to_the_throat(small_cases):
     assert not added[:, :, 11:].any()
 
 
-def test_inertia_of_young_and_tsai_sees_the_rate_of_change(small_cases):
-    def inertia(flow, rate, healthy, throat, length):
-        return rate
-
-    found = StenosisLoss(inertia).fit(small_cases).predict(small_cases)
-    nothing = Unchanged().fit(small_cases).predict(small_cases)
-    rate = (found["pressure"] - nothing["pressure"])[:, :, 0]
+def test_published_losses_have_their_elements(small_cases):
+    """Young and Tsai's rate of change; the friction and inertia integrated over the stenosis."""
     q, step = small_cases.inflow, small_cases.time[1]
-    about = (np.roll(q, -1, axis=1) - np.roll(q, 1, axis=1)) / (2 * step)
-    assert np.linalg.norm(rate - about) < 0.2 * np.linalg.norm(rate)
+    s_u, z = small_cases.area_undeformed, small_cases.z
+    healthy, throat = np.sqrt(s_u[:, :1] * s_u[:, -1:]), s_u[:, 10:11]
+    first, last = measuring_positions(z, s_u)
+    fine = np.linspace(first, last, 2001, axis=1)
+    area = np.array([np.interp(*row) for row in zip(fine, [z] * len(q), s_u, strict=True)])
+    width = (fine[:, -1] - fine[:, 0])[:, None]
+    resistance = 8 * np.pi * 0.04 * (area**-2).mean(axis=1, keepdims=True) * width
+    inertance = 1.06 * (1 / area).mean(axis=1, keepdims=True) * width
+    rate = (np.roll(q, -1, axis=1) - np.roll(q, 1, axis=1)) / (2 * step)  # coarse
+    alpha = np.sqrt(healthy / np.pi) * np.sqrt(2 * np.pi * 1.06 / 0.04)
+    mean = q.mean(axis=1, keepdims=True)
+    expected = {
+        young_tsai: pressure_losses.unsteady_pressure_drop(q, rate, healthy, throat, 0.5),
+        mirramezani: pressure_losses.profile_pressure_drop(q, resistance, healthy, throat),
+        itu: pressure_losses.unsteady_profile_pressure_drop(
+            q, rate, mean, resistance, inertance, healthy, throat, alpha
+        ),
+    }
+    for loss, drop in expected.items():
+        error = np.linalg.norm(loss(small_cases, 0.5) - drop) / np.linalg.norm(drop)
+        assert error < 0.02, loss
 
 
 class _Truth:

@@ -8,8 +8,10 @@ from pcnde_bridge.data.stenosis import diameter
 from pcnde_bridge.hemodynamics.pressure_losses import (
     effective_length,
     pressure_drop,
+    profile_pressure_drop,
     turbulent_drop,
     unsteady_pressure_drop,
+    unsteady_profile_pressure_drop,
     viscous_coefficient,
     viscous_drop,
 )
@@ -83,3 +85,20 @@ def test_young_and_tsai():
     inertial = 1.2 * 1.06 * LENGTH * rate / HEALTHY
     found = unsteady_pressure_drop(flow, rate, HEALTHY, THROAT, LENGTH)
     np.testing.assert_allclose(found, viscous + turbulent + inertial, rtol=1e-13)
+
+
+def test_losses_of_a_profile():
+    """The formulas of Mirramezani et al. and of Itu et al., with their coefficients."""
+    rate, mean = np.array([30.0, -10.0, 0.0, 5.0]), 0.7
+    resistance, inertance, alpha = 900.0, 8.0, 2.6
+    expansion = 1.52 * 1.06 / (2 * HEALTHY**2) * (HEALTHY / THROAT - 1) ** 2 * FLOW * abs(FLOW)
+    steady = profile_pressure_drop(FLOW, resistance, HEALTHY, THROAT)
+    np.testing.assert_allclose(steady, resistance * FLOW + expansion, rtol=1e-13)
+    found = unsteady_profile_pressure_drop(
+        FLOW, rate, mean, resistance, inertance, HEALTHY, THROAT, alpha
+    )
+    k_v, k_c = 1 + 0.053 * (THROAT / HEALTHY) * alpha**2, 0.0018 * alpha**2
+    friction = k_v * resistance * FLOW + k_c * resistance * mean
+    np.testing.assert_allclose(found, friction + expansion + 1.2 * inertance * rate, rtol=1e-13)
+    still = unsteady_profile_pressure_drop(FLOW, 0.0, 0.0, resistance, 0.0, HEALTHY, THROAT, 0.0)
+    np.testing.assert_array_equal(still, steady)
