@@ -18,7 +18,6 @@ from math import ceil
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.validation import whole
@@ -376,6 +375,8 @@ def _elements(cases: Cases) -> tuple[Array, Array]:
     Units are dyn·s/cm⁵ and dyn·s²/cm⁵; see
     :func:`pcnde_bridge.data.stenosis.measuring_positions`.
     """
+    from scipy.integrate import cumulative_trapezoid
+
     positions = np.stack(measuring_positions(cases.z, cases.area_undeformed), axis=1)
 
     def integral(values: Array) -> Array:
