@@ -165,21 +165,24 @@ def neighboring_folds(cases: VesselQuantities, folds: int) -> list[Positions]:
     """Return the folds on which uncertainty is calibrated.
 
     The geometries in the order of their narrowest area, and the waveforms in the order
-    of their oscillation, are each divided into ``folds`` groups of neighbors.  So the
-    extreme ones are held out together: predictions are often requested beyond the
-    training cases.  If there are at most ``folds`` geometries or waveforms, every
-    ``folds``-th case is held out instead.
+    of their oscillation, are each divided into ``folds`` groups of neighbors, or into as many
+    as there are.  So the extreme ones are held out together: predictions are often requested
+    beyond the training cases.  If all cases have one geometry and one waveform, every
+    ``folds``-th case is held out instead.  The list is empty if there are at most ``folds`` cases.
     """
+    count = len(cases.area_undeformed)
+    if count <= folds:
+        return []
     narrowness = cases.area_undeformed.min(axis=1) / cases.area_undeformed.max(axis=1)
     oscillation = np.std(cases.flow[:, :, 0], axis=1)
     found = []
     for label, order in (("geometry", narrowness), ("waveform", oscillation)):
         values = cases.labels[label].to_numpy()
         distinct = np.unique(values)
-        if len(distinct) <= folds:
+        if len(distinct) == 1:
             continue
         mean = [float(order[values == v].mean()) for v in distinct]
         ranked = distinct[np.argsort(mean, kind="stable")]
-        found += [np.flatnonzero(np.isin(values, part)) for part in np.array_split(ranked, folds)]
-    count = len(oscillation)
-    return found or [np.arange(k, count, folds) for k in range(folds) if count > folds]
+        groups = np.array_split(ranked, min(folds, len(distinct)))
+        found += [np.flatnonzero(np.isin(values, group)) for group in groups]
+    return found or [np.arange(k, count, folds) for k in range(folds)]

@@ -141,7 +141,8 @@ def fit_loss_scales(error: Array, losses: Array, dynamic: Array) -> Array:
     The variance of a drop is (a·losses)² + (b·dynamic)².  The ratio of a and b maximizes the
     likelihood of normal errors.  Their size is chosen so that 90 % intervals contain 90 % of the
     errors.  A share of b is constant in time; it is chosen so that the intervals of the mean drops
-    also contain 90 %.
+    also contain 90 % of new ones: the quantile of n errors is the (n + 1)·90 %-th in order, as in
+    split conformal prediction (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094).
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ def fit_loss_scales(error: Array, losses: Array, dynamic: Array) -> Array:
     a, b = np.array([a, b]) * _factor(np.abs(error), np.hypot(a * losses, b * dynamic))
     needed = (error.mean(axis=1) / _HALF_WIDTH) ** 2 - (a * losses.mean(axis=1)) ** 2
     shares = np.sqrt(np.maximum(needed, 0)) / (b * dynamic.mean(axis=1) + _NEGLIGIBLE)
-    share = min(float(np.quantile(shares, 0.9)), 1.0)
+    share = min(float(np.quantile(shares, min(0.9 * (1 + 1 / len(shares)), 1.0))), 1.0)
     return np.array([a, b * share, b * np.sqrt(1 - share**2)])
 
 

@@ -175,8 +175,11 @@ def test_ensemble_leaves_out_whole_geometries_and_whole_waveforms(cases):
     ]
     few = cases.select(geometry=1)
     assert sorted(np.concatenate(neighboring_folds(few, 2))) == [0, 1, 2, 3]
-    scattered = neighboring_folds(cases.select([(1, 0), (2, 0), (1, 1)]), 2)
-    assert [list(part) for part in scattered] == [[0, 2], [1]]
+    # With as few geometries and waveforms as folds, or fewer, each is left out once.
+    corners = cases.select([(1, 0), (4, 0), (1, 3), (4, 3)])
+    found = [list(part) for part in neighboring_folds(corners, 3)]
+    assert found == [[1, 3], [0, 2], [0, 1], [2, 3]]
+    assert neighboring_folds(corners, 4) == []
 
 
 # ---- checkpoint ------------------------------------------------------------
