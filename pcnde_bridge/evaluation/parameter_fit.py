@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.special import ndtri
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge._utils.validation import finite_array, positive
 from pcnde_bridge.errors import InputError, SolveError
 
@@ -121,11 +121,11 @@ def calibrate(
         raise InputError(f"noise must be positive and broadcast to the shape {data.shape}.")
     weight = 1.0 / np.broadcast_to(scale, data.shape).ravel()
     with double_precision():
-        compiled = _compiled(predict, names)
+        with_slopes = _compiled(predict, names)
 
         @lru_cache(maxsize=1)  # SciPy asks for the Jacobian where it has asked for the residual
         def evaluate(x: bytes) -> list[Array]:
-            return [np.asarray(found) for found in compiled(np.frombuffer(x), first)]
+            return [np.asarray(found) for found in with_slopes(np.frombuffer(x), first)]
 
         def residual(x: Array) -> Array:
             misfit = weight * (evaluate(x.tobytes())[0].ravel() - data.ravel())
@@ -160,4 +160,8 @@ def _compiled(predict: Predict, names: tuple[str, ...]) -> Callable[[Array, Arra
     def values(x: Any, first: Any) -> Any:
         return jnp.asarray(predict(dict(zip(names, first * jnp.exp(x), strict=True))))
 
-    return jax.jit(lambda x, first: (values(x, first), jax.jacfwd(values)(x, first)))
+    @compiled()
+    def with_slopes(x: Any, first: Any) -> Any:
+        return values(x, first), jax.jacfwd(values)(x, first)
+
+    return with_slopes

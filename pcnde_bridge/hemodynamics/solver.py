@@ -288,11 +288,11 @@ class Tube1D(TubeSettings):
                 lambda values: values[cases], (problem.inputs, problem.narrowings)
             )
             given = problem.form, inputs, narrowings, problem.blood
-            state = tr_bdf2.start(*given) if state is None else state
+            state = tr_bdf2.compiled_start(*given) if state is None else state
             last, distance = None, np.full(count, np.nan)
             failed: dict[int, str] = {}
             for number in range(self.cycles):
-                state, records, balance = tr_bdf2.cycle(*given, state)
+                state, records, balance = tr_bdf2.compiled_cycle(*given, state)
                 previous, last = last, [np.asarray(record)[:count] for record in records]
                 failed = failures(problem, group, state, number) | failed
                 if previous is not None:

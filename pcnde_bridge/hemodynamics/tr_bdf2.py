@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from pcnde_bridge._utils.jax_context import compiled
 from pcnde_bridge.hemodynamics.discretization import GAMMA, Blood, Form, Inputs, Narrowings
 from pcnde_bridge.hemodynamics.pressure_losses import effective_length, turbulent_drop, viscous_drop
 from pcnde_bridge.hemodynamics.tube_laws import WallAt
@@ -100,6 +101,10 @@ def cycle(
     balance = jnp.abs(after - before - state.inflow / blood.dz) / after
     flow, area, pressure = (jnp.moveaxis(record, 2, 0) for record in records)
     return state, (flow, area, pressure), balance
+
+
+compiled_start, compiled_cycle = (compiled("form")(function) for function in (start, cycle))
+"""The same functions for callers that are not compiled themselves."""
 
 
 class _Scheme:

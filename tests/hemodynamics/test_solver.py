@@ -4,6 +4,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import COMPILED_QUICKLY
 from scipy.integrate import trapezoid
 
 from pcnde_bridge._utils.jax_context import double_precision
@@ -514,7 +515,7 @@ def test_gradients_of_the_jax_function():
     function, inputs = tube.jax_function(problem)
     weights = np.random.default_rng(0).standard_normal((2, 1, 4, 11))
 
-    @jax.jit
+    @partial(jax.jit, compiler_options=COMPILED_QUICKLY)
     @partial(jax.value_and_grad, has_aux=True)
     def evaluate(inputs):
         flow, _, pressure = function(inputs)

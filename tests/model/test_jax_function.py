@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import COMPILED_QUICKLY
 
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.errors import InputError
@@ -24,7 +25,8 @@ def evaluate(physics_model):
         found = function(vectors, values["inflow"], values["area_undeformed"])
         return (weights[0] * found.flow + weights[1] * found.pressure).sum(), found
 
-    compiled = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
+    batch = jax.vmap(jax.value_and_grad(loss, has_aux=True))
+    compiled = jax.jit(batch, compiler_options=COMPILED_QUICKLY)
 
     def evaluate(values):
         with double_precision():
