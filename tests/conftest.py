@@ -67,7 +67,7 @@ def small_cases() -> Cases:
     inflow = 1.2 + scale[waveform, None] * wave
     damping = 1.0 - 0.02 * scale[waveform, None, None] * z / z[-1]
     flow = inflow[:, :, None] * damping
-    drop = 4e3 * blockage[geometry - 1, None, None] * (1 - np.tanh(3 * (z - 2))) * flow
+    drop = 4e2 * blockage[geometry - 1, None, None] * (1 - np.tanh(3 * (z - 2))) * flow
     pressure = 1.09e5 * flow[:, :, -1:] + drop
     area = area_undeformed[:, None, :] * (1 + pressure / 4.9e6) ** 2
     return Cases(

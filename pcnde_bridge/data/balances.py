@@ -7,6 +7,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 
 _FEWEST = 16  # time points that show accelerations
+_CERTAIN = 5.0  # standard errors of a mean pressure drop
 
 
 def growth_of_volume(flow: Array, area: Array, time: Array, z: Array) -> Array:
@@ -35,11 +36,15 @@ def growth_of_volume(flow: Array, area: Array, time: Array, z: Array) -> Array:
     return slope
 
 
-def density(flow: Array, area: Array, pressure: Array, time: Array, z: Array) -> Array:
-    """Return the density by which differences of the pressure accelerate the flow, (case,).
+def momentum(
+    flow: Array, area: Array, pressure: Array, time: Array, z: Array
+) -> tuple[Array, Array]:
+    """Return the density, and the pressure drop over that of Poiseuille's flow, each (case,).
 
-    Losses are the rest that is constant, linear or quadratic in the flow.  It is NaN where
-    accelerations do not explain what remains of the differences.
+    The density is that by which differences of the pressure accelerate the flow; losses are
+    the rest that is constant, linear or quadratic in the flow.  It is NaN where accelerations
+    do not explain what remains of the differences.  The drop is the mean pressure along the
+    vessel over ∫ Q/S² dz, the friction but for 8·π·μ; it is NaN where it is lost in noise.
 
     Parameters
     ----------
@@ -48,21 +53,39 @@ def density(flow: Array, area: Array, pressure: Array, time: Array, z: Array) ->
     time, z : array
         Time points and points.
     """
+    from scipy.integrate import cumulative_trapezoid
     from scipy.interpolate import CubicSpline
 
-    found: Array = np.full(len(flow), np.nan)
-    if len(time) < _FEWEST:
-        return found
-    per_length = np.trapezoid(flow / area.mean(axis=1, keepdims=True), z, axis=2)
+    density, friction = np.full((2, len(flow)), np.nan)
+    count, mean_area = len(time), area.mean(axis=1)
+    if count < _FEWEST // 2:
+        return density, friction
+    per_length = np.trapezoid(flow / mean_area[:, None], z, axis=2)
     accelerations = CubicSpline(time, per_length, axis=1)(time, 1)
     drops, means = pressure[:, :, 0] - pressure[:, :, -1], flow.mean(axis=2)
-    floor = 1e-6 * np.abs(pressure).max(axis=(1, 2)) * math.sqrt(len(time))
+    floor = 1e-6 * np.abs(pressure).max(axis=(1, 2)) * math.sqrt(count)
+    profile = cumulative_trapezoid(flow.mean(axis=1) / mean_area**2, z, axis=1, initial=0)
+    profile -= profile.mean(axis=1, keepdims=True)
+    # By least squares over all points, which noise does not change much.
+    size = np.maximum((profile**2).sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    falls = -(pressure @ (profile / size)[:, :, None])[:, :, 0]
     for case, q in enumerate(means / np.abs(means).max(axis=1, keepdims=True).clip(1e-300)):
-        losses, _ = np.linalg.qr(np.stack([np.ones_like(q), q, q * np.abs(q)], axis=1))
-        drop, rate = (
-            values - losses @ (losses.T @ values) for values in (drops[case], accelerations[case])
-        )
-        size = np.linalg.norm(drop)
-        if size > floor[case] and drop @ rate > 0.98 * size * np.linalg.norm(rate):
-            found[case] = (drop @ rate) / (rate @ rate)
-    return found
+        losses = np.stack([np.ones_like(q), q, q * np.abs(q)], axis=1)
+        drop, rate = _rest(losses, drops[case]), _rest(losses, accelerations[case])
+        size_of_drop, product = np.linalg.norm(drop), drop @ rate
+        clear = size_of_drop > floor[case]
+        if count >= _FEWEST and clear and product > 0.98 * size_of_drop * np.linalg.norm(rate):
+            density[case] = product / (rate @ rate)
+        noise = np.linalg.norm(_rest(np.column_stack([losses, rate]), falls[case]))
+        mean, scale = float(falls[case].mean()), math.sqrt(count * (count - 4))
+        over = abs(mean) * np.ptp(profile[case]) > floor[case]
+        if over and abs(mean) > _CERTAIN * noise / scale:
+            friction[case] = mean
+    return density, friction
+
+
+def _rest(columns: Array, values: Array) -> Array:
+    """Return what the columns do not explain of the values."""
+    basis, _ = np.linalg.qr(columns)
+    rest: Array = values - basis @ (basis.T @ values)
+    return rest

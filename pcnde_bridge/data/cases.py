@@ -21,6 +21,7 @@ from pcnde_bridge.data.indices import VesselQuantities
 from pcnde_bridge.data.labels import check_labels
 from pcnde_bridge.data.selection import Positions, select_positions
 from pcnde_bridge.data.splits import fold_positions, split_positions
+from pcnde_bridge.data.units import QUANTITIES, in_cgs, stated_units
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import FileError
 
@@ -70,6 +71,10 @@ class Cases(VesselQuantities):
     wall_shear_stress : array_like, shape (n_cases, n_times, n_points), optional
         Wall shear stress (dyn/cm²), the mean around the circumference, either of its axial
         component or, as in the published data, of its magnitude.
+    units : str or mapping, optional
+        ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
+        ``{"pressure": "mmHg"}``; the arrays are converted.  ``{"area": "cm^2"}`` states that
+        the areas are not radii or diameters, ``{"radius": "mm"}`` that they are radii.
     check : bool
         Refuse implausible data.  If False, implausible magnitudes give a warning only.
 
@@ -109,16 +114,20 @@ class Cases(VesselQuantities):
         period: float | None = None,
         labels: pd.DataFrame | Mapping[str, Any] | None = None,
         wall_shear_stress: ArrayLike | None = None,
+        units: str | Mapping[str, str] | None = None,
         check: bool = True,
     ) -> None:
         given = flow, area, pressure, area_undeformed, time, z
         optional = {} if wall_shear_stress is None else {"wall_shear_stress": wall_shear_stress}
         arrays = check_arrays(dict(zip(UNITS, given, strict=False)) | optional)
+        if stated := stated_units(units):
+            arrays = {n: in_cgs(QUANTITIES.get(n, n), v, stated) for n, v in arrays.items()}
+            period = None if period is None else in_cgs("time", period, stated)
         cycle = check_time(arrays, period)
         table = check_labels(labels, arrays["area_undeformed"])
         fields = {"wall_shear_stress": None, **arrays}
         self.__setstate__({**fields, "period": cycle, "_labels": table})
-        check_plausible(arrays, strict=check)
+        check_plausible(arrays, stated, strict=check)
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         """Set the fields, also of copies, whose arrays would be writeable otherwise."""
@@ -357,7 +366,7 @@ class Cases(VesselQuantities):
             If the file is truncated, damaged, foreign, or of a newer version.
         """
         contents = read_cases(path)
-        arrays = {name: contents[name] for name in UNITS if name in contents}
+        arrays: dict[str, Any] = {name: contents[name] for name in UNITS if name in contents}
         try:
             period, labels = contents["period"].item(), with_prefix(_LABELS, contents)
             cases = cls(**arrays, period=period, labels=labels, check=False)

@@ -17,7 +17,7 @@ from pcnde_bridge._utils.validation import (
     naming,
     real_array,
 )
-from pcnde_bridge.data.plausibility import BALANCES, CONVERT, check_units, check_vessel, sizes_of
+from pcnde_bridge.data.plausibility import BALANCES, check_units, check_vessel, sizes_of
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -103,13 +103,17 @@ def check_time(arrays: Mapping[str, Array], period: float | None) -> float:
     raise InputError(f"period is {period:g} s, but {given}: {why}")
 
 
-def check_plausible(arrays: Mapping[str, Array], *, strict: bool) -> None:
+def check_plausible(
+    arrays: Mapping[str, Array], stated: Mapping[str, str], *, strict: bool
+) -> None:
     """Raise unless the arrays of a data set are plausible for single vessels in CGS units.
 
     Parameters
     ----------
     arrays : mapping of str to array
-        Checked arrays of a data set.
+        Checked arrays of a data set, in CGS units.
+    stated : mapping of str to str
+        Units that the caller stated.
     strict : bool
         If False, warn of magnitudes, and accept any flow and any sample.
 
@@ -125,11 +129,14 @@ def check_plausible(arrays: Mapping[str, Array], *, strict: bool) -> None:
             variables = {name: arrays[name][case] for name in FIELDS if name in arrays}
             check_vessel(variables, z, time, flip)
     sizes = sizes_of(**arrays)
-    settled = not all(np.isnan(sizes[name]).all() for name in BALANCES) or not arrays["flow"].any()
+    settled = not all(np.isnan(sizes[name]).all() for name in BALANCES)
     if not strict:
         sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
+        stated = {"shape": "area", **stated}
     try:
-        check_units(sizes, (), CONVERT, unique=strict and not settled)
+        check_units(
+            sizes, stated, unique=strict and bool(arrays["flow"].any()), only_shapes=settled
+        )
     except InputError as error:
         if strict:
             raise

@@ -3,16 +3,15 @@
 The ranges cover arteries from 0.8 mm to 5 cm in diameter.
 """
 
-import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.data.balances import density, growth_of_volume
-from pcnde_bridge.data.units import FACTORS, SYSTEMS, factors_to_cgs
+from pcnde_bridge.data.balances import growth_of_volume, momentum
+from pcnde_bridge.data.units import AREA_OF_SQUARE, FACTORS, SHAPES, SYSTEMS
 from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
@@ -21,6 +20,7 @@ _ALONG = {"along": 1, "area": 0}
 _SHEAR = {"wall_shear_stress": 1, "area": 1.5, "flow": -1}
 _BALANCE = {"balance": 1, "flow": 1, "time": 1, "area": -1, "z": -1}
 _INERTIA = {"inertia": 1, "pressure": 1, "time": 1, "area": 1, "flow": -1, "z": -1}
+_FRICTION = {"friction": 1, "pressure": 1, "area": 2, "flow": -1, "z": -1}
 
 
 class _Range(NamedTuple):
@@ -38,19 +38,30 @@ class _Range(NamedTuple):
     powers: Mapping[str, float]
     factor: float = 1.0
 
-    def holds(self, low: float, high: float, units: Mapping[str, str]) -> bool:
-        """Return whether two numbers are in the range if the quantities have these units."""
-        powers = (FACTORS[n][unit] ** self.powers.get(n, 0) for n, unit in units.items())
-        factor = math.prod(powers)
-        return bool(self.low <= low * factor and high * factor <= self.high)
+    def extremes(self, sizes: Mapping[str, Array], row: int = 0) -> tuple[float, float]:
+        """Return the least and the largest number of vessels; NaN if all are unknown."""
+        powers = [sizes[name][row] ** power for name, power in self.powers.items()]
+        values = self.factor * math.prod(powers)
+        unknown = np.isnan(values).all()
+        return (math.nan, math.nan) if unknown else (np.nanmin(values), np.nanmax(values))
+
+    def doubt(self, low: float, high: float, *, possible: bool = False) -> str:
+        """Describe a number that is not usual, or not possible; empty if there is none."""
+        least, most = (self.least, self.most) if possible else (self.low, self.high)
+        if not (low < least or high > most):
+            return ""
+        wrong, kind = low if low < least else high, "possible" if possible else "usual"
+        return f"{self.name} is {wrong:.4g}{self.unit}, {kind} are {least:g} to {most:g}"
 
 
 # Pressures of 20 … 195 mmHg: less than a factor of 10, so that Pa are never taken for dyn/cm².
-# Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise.
+# Poiseuille's wall shear stress, 4·μ·Q/(π·r³), is 0.32·_ROOT·Q/S^1.5 with μ = 0.04 poise, and
+# its gradient of the pressure 8·π·μ·Q/S². Drops of the published and the synthetic vessels are
+# 1.2 to 8 times as large; of their areas taken for radii or for diameters, below 0.2 times.
 # The published volumes grow by half of the difference of the flows; exact solutions have 1.
 # The density is 0.91 to 1.28 for the published and the synthetic vessels, of blood 1.06 g/cm³;
 # with radii of 0.2 cm in place of areas it is 1.6 times as large.
-_REYNOLDS, _POISEUILLE = 1 / (_ROOT * _VISCOSITY), 1 / (0.32 * _ROOT)
+_REYNOLDS, _POISEUILLE, _DROP = 1 / (_ROOT * _VISCOSITY), 1 / (0.32 * _ROOT), 1 / (0.32 * math.pi)
 _RANGES = (
     _Range("the mean pressure", " dyn/cm²", 2.67e4, 2.6e5, -1e5, 4e5, {"pressure": 1}),
     _Range("the mean flow", " mL/s", 0.01, 250, 0.002, 750, {"flow": 1}),
@@ -59,12 +70,15 @@ _RANGES = (
     _Range("the length of the recording", " s", 0.25, 60, 0.08, 300, {"time": 1}),
     _Range("the area over the undeformed area", "", 0.75, 1.55, 0.2, 5, {"ratio": 1, "area": 0}),
     _Range("the largest of these along the vessel, over the least,", "", 1, 3, 1, 4, _ALONG),
-    _Range("flow over area", " cm/s", 1, 100, 0.2, 400, {"flow": 1, "area": -1}),
+    _Range("flow over area", " cm/s", 2, 100, 0.2, 400, {"flow": 1, "area": -1}),
     _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _REYNOLDS),
     _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.32, 5, _SHEAR, _POISEUILLE),
     _Range("the length over the diameter", "", 2.5, 100, 0.8, 300, {"z": 1, "area": -0.5}, _ROOT),
     _Range("inflow less outflow, over the growth of the volume,", "", *(0.3, 2.8) * 2, _BALANCE),
     _Range("the density by pressures and accelerations", " g/cm³", 0.75, 1.43, 0.4, 3, _INERTIA),
+    _Range(
+        "the pressure drop over Poiseuille's", "", 0.6, 40, -math.inf, math.inf, _FRICTION, _DROP
+    ),
 )
 _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
 _GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
@@ -75,13 +89,17 @@ _TRANSPOSED = (
     "np.swapaxes(array, -1, -2)."
 )
 
-BALANCES = {"balance", "inertia"}
+BALANCES = {"balance", "inertia", "friction"}
 """Sizes that compare the variables with each other; unknown where nothing changes in time."""
 
 _EXPLAINED = {*BALANCES, "along"}  # by :func:`check_vessel`
 
 Sizes = dict[str, Array]
-"""Measured quantities by name, one number for each vessel; NaN is unknown."""
+"""Measured quantities by name, one number for each vessel; NaN is unknown.
+
+The first row is for areas as they are given, the second one for their squares, by which radii
+and diameters are compared.
+"""
 
 
 def sizes_of(
@@ -108,21 +126,24 @@ def sizes_of(
 
     Returns
     -------
-    dict of str to array of shape (case,)
+    dict of str to array of shape (2, case)
         Sizes for :func:`check_units`.
     """
     sizes = input_sizes(flow, area_undeformed, float(np.ptp(z)), float(np.ptp(time)))
-    undeformed = area_undeformed[:, None, :]
-    sizes["pressure"] = pressure.mean(axis=(1, 2))
-    ratios = (area / undeformed).mean(axis=1)
-    sizes["ratio"] = np.median(ratios, axis=1)
-    sizes["along"] = ratios.max(axis=1) / ratios.min(axis=1)
+    sizes["pressure"] = np.array([pressure.mean(axis=(1, 2))] * 2)
+    ratios = (area / area_undeformed[:, None, :]) ** np.arange(1, 3)[:, None, None, None]
+    ratios = ratios.mean(axis=2)
+    sizes["ratio"] = np.median(ratios, axis=2)
+    sizes["along"] = ratios.max(axis=2) / ratios.min(axis=2)
     if wall_shear_stress is not None:
-        sizes["wall_shear_stress"] = np.median(np.abs(wall_shear_stress.mean(axis=1)), axis=1)
-    for name, powers, values in (
-        ("balance", _BALANCE, growth_of_volume(flow, area, time, z)),
-        ("inertia", _INERTIA, density(flow, area, pressure, time, z)),
-    ):
+        stress = np.median(np.abs(wall_shear_stress.mean(axis=1)), axis=1)
+        sizes["wall_shear_stress"] = np.array([stress, stress])
+    measured = [
+        (growth_of_volume(flow, one, time, z), *momentum(flow, one, pressure, time, z))
+        for one in (area, area**2)
+    ]
+    products = {"balance": _BALANCE, "inertia": _INERTIA, "friction": _FRICTION}
+    for (name, powers), values in zip(products.items(), np.swapaxes(measured, 0, 1), strict=True):
         # The other sizes in this product cancel, so that it is measured in their units.
         others = math.prod(sizes[other] ** powers[other] for other in powers if other != name)
         sizes[name] = np.divide(values, others, out=np.full_like(values, np.nan), where=others != 0)
@@ -130,7 +151,7 @@ def sizes_of(
 
 
 def input_sizes(flow: Array, area_undeformed: Array, length: float, period: float) -> Sizes:
-    """Measure the sizes of a prediction's inputs.
+    """Measure the sizes of a prediction's inputs, as :func:`sizes_of`.
 
     Parameters
     ----------
@@ -142,154 +163,186 @@ def input_sizes(flow: Array, area_undeformed: Array, length: float, period: floa
         Length of the vessel and of the cycle; NaN if unknown.
     """
     mean = np.abs(flow).reshape(len(flow), -1).mean(axis=1)
-    count = len(flow)
+    area = np.median(area_undeformed, axis=1)
+    flows = np.where(mean > 0, mean, np.nan)
     return {
-        "flow": np.where(mean > 0, mean, np.nan),
-        "area": np.median(area_undeformed, axis=1),
-        "z": np.full(count, length),
-        "time": np.full(count, period),
+        "flow": np.stack([flows, flows]),
+        "area": np.stack([area, area**2]),
+        "z": np.full((2, len(flow)), length),
+        "time": np.full((2, len(flow)), period),
     }
 
 
-class Advice(NamedTuple):
-    """Advice for numbers whose units are wrong or ambiguous.
+class UnitsError(InputError):
+    """The numbers do not look like those of arteries in the units that are stated or assumed.
 
-    Attributes
+    Parameters
     ----------
-    state : str
-        Format of the advice to use the units ``{units}``, or ``{flags}`` at the command line.
-    choose : str
-        Advice where several units are possible.
-    confirm : str
-        Advice for numbers that are right as they are.
+    problem : str
+        Text without advice.
+    advice : str
+        What to do where units can be stated.
     """
 
-    state: str
-    choose: str
-    confirm: str
+    def __init__(self, problem: str, advice: str) -> None:
+        super().__init__(f"{problem}: {advice}.")
+        self.problem = problem
 
 
-OPTION = Advice(
-    "pass units={units} (--units {flags})",
-    "state the units (--units)",
-    "pass units='cgs' (--units cgs)",
+_PASS = "pass units={} (--units {})"
+_CGS = _PASS.format("'cgs'", "cgs")
+_HINT = " (radii or diameters in place of areas?)"
+_STATE_SHAPE = (
+    "state the units (--units), with area=cm^2 for areas, radius=mm for radii, and diameter=mm "
+    "for diameters"
 )
-"""Advice where units can be stated by an option."""
-
-CONVERT = Advice(
-    "convert the arrays to CGS units", "convert the arrays to CGS units", "pass check=False"
-)
-"""Advice where arrays must be in CGS units."""
 
 
 def check_units(
-    sizes: Sizes, stated: Collection[str], advice: Advice, *, unique: bool = False
+    sizes: Sizes,
+    stated: Mapping[str, str],
+    *,
+    unique: bool = False,
+    only_shapes: bool = False,
+    start: bool = False,
+    shapes: Collection[str] = tuple(SHAPES),
 ) -> None:
     """Raise if the units are wrong or, with ``unique``, ambiguous.
 
     Parameters
     ----------
-    sizes : dict of str to array of shape (case,)
-        Sizes of vessels, taken to be in CGS units.
-    stated : collection of str
-        Quantities whose units are stated; numbers of these alone need only be possible.
-    advice : Advice
-        Advice for the message.
+    sizes : dict of str to array of shape (2, case)
+        Sizes of vessels, converted to CGS units from those that are stated.
+    stated : mapping of str to str
+        Units that are stated; numbers of these quantities alone need only be possible.  A
+        system of units does not state whether areas are areas, radii or diameters.
     unique : bool
-        Raise also if the numbers are usual in other units as well, but not if the
-        variables do not go together in any units: :func:`check_vessel` may explain it.
+        Raise also if the numbers are usual in other units as well.
+    only_shapes : bool
+        Of these, count radii and diameters only.
+    start : bool
+        Whether the recording may begin at rest: numbers that :func:`check_vessel` may explain
+        count only if other units explain them, too.
+    shapes : collection of str
+        What the areas can be unless the shape is stated.
 
     Raises
     ------
-    InputError
+    UnitsError
         If a number is impossible, or unusual; the message suggests the units if only one
         combination of them makes all numbers usual.
     """
-    open_ = [name for name in FACTORS if name in sizes and name not in stated]
+    open_ = {name for name in FACTORS if name in sizes and name not in stated}
     if "pressure" in open_ and (sizes["pressure"] < 0).any():
-        raise InputError(
-            f"the mean pressure is {sizes['pressure'].min():.4g}; pressures must be relative to "
-            f"the surroundings, as blood pressures are. If they are, {advice.confirm}."
+        raise UnitsError(
+            f"the mean pressure is {sizes['pressure'].min():.4g}, but pressures must be relative "
+            "to the surroundings, as blood pressures are",
+            f"if they are, {_CGS}",
         )
-    measured = []
-    for usual, low, high in _measured(sizes):
-        if usual.powers.keys() & {*open_}:
-            measured.append((usual, low, high))
-        elif unique and usual.powers.keys() & _EXPLAINED:
-            continue  # start-up cycles need not balance
-        elif low < usual.least or high > usual.most:
-            wrong = low if low < usual.least else high
-            raise InputError(
-                f"with the stated units {usual.name} is {wrong:.4g}{usual.unit}, possible are "
-                f"{usual.least:g} to {usual.most:g}. Correct the units (--units), or the numbers."
-            )
-
-    def all_usual(units: Mapping[str, str]) -> bool:
-        return all(usual.holds(low, high, units) for usual, low, high in measured)
-
-    right = all_usual({})
-    if right and not unique:
+    by_system = "area" in stated and "shape" not in stated
+    doubts: list[str] = []
+    explained: list[str] = []
+    compared = []
+    for usual in (usual for usual in _RANGES if usual.powers.keys() <= sizes.keys()):
+        names, extremes = usual.powers.keys(), usual.extremes(sizes)
+        hint = _HINT * ("area" in names and "shape" not in stated)
+        of_start = start and names & _EXPLAINED
+        if not (names & open_ or of_start) and (doubt := usual.doubt(*extremes, possible=True)):
+            advice = "correct the units (--units), or the numbers"
+            raise UnitsError(f"with the stated units {doubt}{hint}", advice)
+        if names & open_ or (by_system and "area" in names):
+            compared.append(usual)
+            if doubt := usual.doubt(*extremes):
+                (explained if of_start else doubts).append(doubt + hint)
+    if not (doubts or explained or unique):
         return
-    others = [units for units in _combinations(open_) if units and all_usual(units)]
-    if right and others:
-        raise InputError(
-            "the units are ambiguous: the numbers are usual in CGS units, and with "
-            f"{_listed(others)}: {advice.choose}; if they are CGS, {advice.confirm}."
-        )
-    doubts = [
-        f"{usual.name} is {low if low < usual.low else high:.4g}{usual.unit}, usual are "
-        f"{usual.low:g} to {usual.high:g}"
-        for usual, low, high in measured
-        if not usual.holds(low, high, {})
-        and (others or not unique or usual.powers.keys().isdisjoint(_EXPLAINED))
-    ]
+    others = _readings(sizes, compared, stated, ["area"] if "shape" in stated else shapes)
+    if only_shapes and not doubts:
+        others = [units for units in others if not units.keys() - SHAPES.keys()]
+    if others or (doubts and not by_system):
+        raise _units_error([*doubts, *explained] if others else doubts, others, open_, by_system)
+
+
+def _units_error(
+    doubts: Sequence[str],
+    others: Sequence[Mapping[str, str]],
+    open_: Collection[str],
+    by_system: bool,
+) -> UnitsError:
+    """Return the error for numbers that are unusual, or usual in other units, too."""
+    has_shapes = any("radius" in units or "diameter" in units for units in others)
+    cgs = _PASS.format("'cgs,area=cm^2'", "cgs,area=cm^2") if has_shapes else _CGS
+    listed = _listed(others)
     if not doubts:
-        return
-    if len(others) == 1:
-        units, flags = _stated(others[0], open_)
-        state = advice.state.format(units=units, flags=flags)
-        hint = f"All numbers are usual with {_listed(others)}: {state}"
-    elif others:
-        hint = f"The numbers are usual with {_listed(others)}: {advice.choose}"
-    else:
-        hint = (
-            "They are unusual in every combination of known units: correct the numbers, such as "
-            "radii or diameters in place of areas"
-        )
-    raise InputError(
-        "this does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): "
-        f"{'; '.join(doubts)}. {hint}, or {advice.confirm} if they are right."
+        state = _STATE_SHAPE if has_shapes else "state the units (--units)"
+        problem = f"the units are ambiguous: the numbers are usual in CGS units, and with {listed}"
+        return UnitsError(problem, f"{state}; if they are CGS, {cgs}")
+    problem = (
+        f"this does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {'; '.join(doubts)}. "
     )
+    if not others:
+        problem += "They are unusual in every combination of known units"
+        state = "correct the numbers, such as radii or diameters in place of areas"
+    elif by_system:
+        return UnitsError(f"{problem}All numbers are usual with {listed}", _STATE_SHAPE)
+    elif len(others) == 1:
+        problem += f"All numbers are usual with {listed}"
+        state = _stated(others[0], open_)
+    else:
+        problem += f"The numbers are usual with {listed}"
+        state = _STATE_SHAPE if has_shapes else "state the units (--units)"
+    return UnitsError(problem, f"{state}, or {cgs} if they are right")
 
 
-def _measured(sizes: Sizes) -> Iterator[tuple[_Range, float, float]]:
-    """Yield the ranges of known quantities, with the least and the largest number."""
-    for usual in _RANGES:
-        if usual.powers.keys() <= sizes.keys():
-            powers = [sizes[name] ** power for name, power in usual.powers.items()]
-            values = usual.factor * math.prod(powers)
-            if not np.isnan(values).all():
-                yield usual, float(np.nanmin(values)), float(np.nanmax(values))
-
-
-def _combinations(names: Collection[str]) -> Iterator[dict[str, str]]:
-    """Yield all combinations of units, by the quantities that are not in CGS."""
+def _readings(
+    sizes: Sizes, ranges: Sequence[_Range], stated: Mapping[str, str], shapes: Collection[str]
+) -> list[dict[str, str]]:
+    """Return the units, other than CGS and the stated ones, in which all numbers are usual."""
     # Of units with the same factor, such as mL/s and cm^3/s, the first one is used.
-    choices = [
-        {f: unit for unit, f in reversed([*FACTORS[name].items()])}.values() for name in names
-    ]
-    for units in itertools.product(*choices):
-        found = dict(zip(names, units, strict=True))
-        yield {name: unit for name, unit in found.items() if FACTORS[name][unit] != 1}
+    choices = {
+        name: {f: unit for unit, f in [*units.items()][::-1]}
+        for name, units in FACTORS.items()
+        if name in sizes and name not in stated
+    }
+    grids = np.meshgrid(*map(list, choices.values()), indexing="ij")
+    factors = dict(zip(choices, grids, strict=True))
+    found = []
+    for shape in sorted(shapes):
+        given = dict(factors)
+        if shape != "area":
+            # What was converted as an area is the square of lengths in the root of its unit.
+            of_unit = FACTORS["area"][stated["area"]] if "area" in stated else 1.0
+            given["area"] = SHAPES[shape] / of_unit * given.get("area", np.ones(()))
+        usual = np.ones([len(units) for units in choices.values()], dtype=bool)
+        for of in ranges:
+            low, high = of.extremes(sizes, int(shape != "area"))
+            factor = math.prod(given[name] ** p for name, p in of.powers.items() if name in given)
+            usual &= np.logical_not((low * factor < of.low) | (high * factor > of.high))
+        for place in np.argwhere(usual):
+            units = {n: [*choices[n].values()][i] for n, i in zip(choices, place, strict=True)}
+            found.append(_without_cgs(units, shape, stated))
+    return [units for units in found if units]
 
 
-def _stated(units: Mapping[str, str], open_: Collection[str]) -> tuple[str, str]:
-    """Return the units of quantities as Python and as the command line state them."""
-    factors = factors_to_cgs(units)
+def _without_cgs(units: dict[str, str], shape: str, stated: Mapping[str, str]) -> dict[str, str]:
+    """Return the units that differ from CGS; of radii and diameters in place of areas, all."""
+    others = {name: unit for name, unit in units.items() if FACTORS[name][unit] != 1}
+    if shape != "area":
+        others.pop("area", None)
+        of_area = {**stated, **units}["area"]
+        others[shape] = next(unit for unit, area in AREA_OF_SQUARE.items() if area == of_area)
+    return others
+
+
+def _stated(units: Mapping[str, str], open_: Collection[str]) -> str:
+    """Return the advice to state units."""
     for name, system in SYSTEMS.items():
-        if all(factors_to_cgs(system)[quantity] == factors[quantity] for quantity in open_):
-            return repr(name), name
-    return str(units), ",".join(f"{name}={unit}" for name, unit in units.items())
+        if (
+            all(FACTORS[n][system[n]] == FACTORS[n][units.get(n, SYSTEMS["cgs"][n])] for n in open_)
+            and not units.keys() - FACTORS.keys()
+        ):
+            return _PASS.format(repr(name), name)
+    return _PASS.format(units, ",".join(f"{name}={unit}" for name, unit in units.items()))
 
 
 def _listed(readings: Sequence[Mapping[str, str]]) -> str:

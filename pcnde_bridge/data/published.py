@@ -9,6 +9,7 @@ stress (dyn/cm²), which is zero throughout in data without it.  The time points
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import reading
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.plausibility import UnitsError
 from pcnde_bridge.errors import DataNotFoundError, FileError
 
 SHAPE = (6, 100, 101)
@@ -87,7 +89,13 @@ def read_authors_folder(folder: StrPath) -> Cases:
     time, z = np.arange(SHAPE[1]) / round(1 / DT), np.arange(SHAPE[2]) / round(1 / DZ)
     fields = data[_FLOW], data[_AREA], pressure, area_undeformed, time, z
     stress = data[_WALL_SHEAR_STRESS] if data[_WALL_SHEAR_STRESS].any() else None
-    return Cases(*fields, period=PERIOD, labels=labels, wall_shear_stress=stress)
+    options: dict[str, Any] = {"period": PERIOD, "labels": labels, "wall_shear_stress": stress}
+    try:
+        return Cases(*fields, **options, units={"area": "cm^2"})
+    except UnitsError as error:
+        raise FileError(
+            f"the files in {str(root)!r} must hold CGS units, but {error.problem}; correct them"
+        ) from error
 
 
 def _read_case(path: Path) -> Array:

@@ -1,7 +1,9 @@
 """Known units and their conversion to CGS."""
 
+import math
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from pcnde_bridge.data.variables import MMHG
 from pcnde_bridge.errors import InputError
@@ -35,13 +37,27 @@ SYSTEMS: Mapping[str, Mapping[str, str]] = {
 """Systems of units by name."""
 
 
+QUANTITIES = {"area_undeformed": "area", "period": "time"}
+"""Quantities of arrays that have other names."""
+
+SHAPES: Mapping[str, float] = {"area": 1.0, "radius": math.pi, "diameter": math.pi / 4}
+"""What a column of areas can hold; for lengths, the area of a circle over their squares."""
+
+AREA_OF_SQUARE = dict(zip(FACTORS["z"], FACTORS["area"], strict=True))
+"""Unit of the area of a square, by the unit of its sides."""
+
+
 def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
     """Return the units that the caller states, by quantity.
+
+    A mapping also states the ``shape`` of an area: ``area``, ``radius`` or ``diameter``.
 
     Parameters
     ----------
     units : str, mapping or None
-        Name of a system of units, or units by quantity.
+        Name of a system of units, or units by quantity; ``{"radius": "mm"}`` or
+        ``{"diameter": "mm"}`` for lengths in place of areas.  As a text: ``"radius=mm,z=mm"``,
+        or a system with additions and exceptions, ``"cgs,pressure=mmHg"``.
 
     Raises
     ------
@@ -50,25 +66,50 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
     """
     if units is None:
         return {}
+    stated: dict[str, str] = {}
     if not isinstance(units, Mapping):
-        if units not in list(SYSTEMS):
+        system, *pairs = str(units).split(",")
+        if "=" in system:
+            pairs = [system, *pairs]
+        elif system in SYSTEMS:
+            stated |= SYSTEMS[system]
+        else:
             raise InputError(
                 f"Unknown units {units!r}; give one of {sorted(SYSTEMS)}, or a mapping such as "
                 "{'pressure': 'mmHg'}."
             )
-        return dict(SYSTEMS[units])
+        units = dict(pair.partition("=")[::2] for pair in pairs)
+    known = {**FACTORS, **dict.fromkeys([*SHAPES][1:], FACTORS["z"])}
     for name, unit in units.items():
-        if name not in FACTORS:
-            raise InputError(f"units names {name!r}; it can name {sorted(FACTORS)}.")
-        if unit not in FACTORS[name]:
-            raise InputError(f"Unknown unit {unit!r} of {name}; known are {list(FACTORS[name])}.")
-    return dict(units)
+        if name not in known:
+            raise InputError(f"units names {name!r}; it can name {sorted(known)}.")
+        if unit not in known[name]:
+            raise InputError(f"Unknown unit {unit!r} of {name}; known are {list(known[name])}.")
+        if name not in SHAPES:
+            stated[name] = unit
+            continue
+        if "shape" in stated:
+            raise InputError(f"units names {stated['shape']} and {name}: an area has one unit.")
+        stated |= {"shape": name, "area": unit if name == "area" else AREA_OF_SQUARE[unit]}
+    return stated
 
 
-def factors_to_cgs(units: Mapping[str, str]) -> dict[str, float]:
-    """Return the factor to CGS of every quantity; quantities without a unit are in CGS."""
-    unit = {**SYSTEMS["cgs"], **units}
-    return {name: FACTORS[name][unit[name]] for name in FACTORS}
+def in_cgs(name: str, values: Any, units: Mapping[str, str]) -> Any:
+    """Convert the values of a quantity to CGS; quantities without a unit are in CGS.
+
+    Parameters
+    ----------
+    name : str
+        Name of the quantity.
+    values : array or float
+        Values; of an area, what the shape that the units state says.
+    units : mapping of str to str
+        Result of :func:`stated_units`.
+    """
+    factor = FACTORS[name][units.get(name, SYSTEMS["cgs"][name])]
+    if name == "area" and (shape := units.get("shape", "area")) != "area":
+        return SHAPES[shape] * factor * values**2
+    return factor * values
 
 
 def usual_spelling(unit: str) -> str:

@@ -19,7 +19,7 @@ from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import make_folder, write_csv
 from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.units import factors_to_cgs, stated_units
+from pcnde_bridge.data.units import in_cgs, stated_units
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
@@ -62,14 +62,15 @@ def all_pairs(
         If a mean inflow is negative, or the units are wrong or ambiguous.
     """
     stated = stated_units(units)
-    factor = factors_to_cgs(stated)
-    time, period = factor["time"] * grid.time, factor["time"] * grid.period
-    grid = Grid(time, factor["z"] * grid.z, period)
-    inflow, area_undeformed = factor["flow"] * inflow, factor["area"] * area_undeformed
+    time, period = (in_cgs("time", values, stated) for values in (grid.time, grid.period))
+    grid = Grid(time, in_cgs("z", grid.z, stated), period)
+    inflow = in_cgs("flow", inflow, stated)
+    area_undeformed = in_cgs("area", area_undeformed, stated)
     geometry, waveform = np.indices((len(area_undeformed), len(inflow))).reshape(2, -1)
     labels = pd.DataFrame({"geometry": geometry + 1, "waveform": waveform + 1})
     candidates = ModelInputs(inflow[waveform], area_undeformed[geometry], grid)
-    check_plausible(Inputs(*candidates), np.ones(len(labels), dtype=bool), stated, None)
+    inputs = Inputs(*candidates, units={"shape": "area", **stated})
+    check_plausible(inputs, np.ones(len(labels), dtype=bool), None)
     return candidates, labels
 
 

@@ -20,8 +20,8 @@ from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.checks import check_arrays
 from pcnde_bridge.data.labels import default_labels
-from pcnde_bridge.data.plausibility import OPTION, check_axes, check_units, check_vessel, sizes_of
-from pcnde_bridge.data.units import factors_to_cgs, stated_units
+from pcnde_bridge.data.plausibility import check_axes, check_units, check_vessel, sizes_of
+from pcnde_bridge.data.units import FACTORS, QUANTITIES, in_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.resampling import (
     check_same_grid,
@@ -115,13 +115,13 @@ def to_cases(
             check_arrays(given.as_case())
             check_increasing("time", given.time)
             vessel = _flipped(_in_cgs(given, stated), flip)
-            known = {*stated, *given.units}
+            known = {**given.units, **stated}
             check_axes(vessel.flow)
-            check_units(sizes_of(**vessel.as_case()), known, OPTION, unique=True)
+            check_units(sizes_of(**vessel.as_case()), known, unique=True, start=True)
             vessel = one_cycle(vessel, period)
             if not vessel.predicted:
                 check_vessel(vessel.variables(), vessel.z, vessel.time, _FLIP)
-                check_units(sizes_of(**vessel.as_case()), known, OPTION)
+                check_units(sizes_of(**vessel.as_case()), known)
             vessel = on_time_points(vessel, time_points)
             vessels.append(on_points(vessel, points))
     first = vessels[0]
@@ -130,7 +130,9 @@ def to_cases(
     for vessel in vessels[1:]:
         check_same_grid(first, vessel)
     cases = [vessel.as_case() for vessel in vessels]
-    arrays = {name: np.concatenate([case[name] for case in cases]) for name in cases[0]}
+    arrays: dict[str, Any] = {
+        name: np.concatenate([case[name] for case in cases]) for name in cases[0]
+    }
     arrays |= {"time": first.time, "z": first.z}
     table = _labels_of(vessels) if labels is None else labels
     return Cases(**arrays, period=first.period, labels=table, check=False)
@@ -173,15 +175,12 @@ def _labels_of(vessels: Sequence[VesselResults]) -> pd.DataFrame:
 
 def _in_cgs(vessel: VesselResults, stated: Mapping[str, str]) -> VesselResults:
     """Convert results to CGS from the units that the caller, or else the file, states."""
-    factor = factors_to_cgs({**vessel.units, **stated})
-    factor["area_undeformed"] = factor["area"]
     arrays: dict[str, Any] = {
-        name: f * values
-        for name, f in factor.items()
+        name: in_cgs(QUANTITIES.get(name, name), values, {**vessel.units, **stated})
+        for name in (*FACTORS, *QUANTITIES)
         if (values := getattr(vessel, name)) is not None
     }
-    period = None if vessel.period is None else vessel.period * factor["time"]
-    return dataclasses.replace(vessel, **arrays, period=period)
+    return dataclasses.replace(vessel, **arrays)
 
 
 def _flipped(vessel: VesselResults, flip: Flip | None) -> VesselResults:

@@ -13,7 +13,7 @@ from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
-from pcnde_bridge.data.units import FACTORS, stated_units, usual_spelling
+from pcnde_bridge.data.units import FACTORS, QUANTITIES, stated_units, usual_spelling
 from pcnde_bridge.data.variables import FIELDS, UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
@@ -116,7 +116,7 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
     """Return the units in the file by quantity, except those that the caller states."""
     found: dict[str, str] = {}
     for name, text in units.items():
-        quantity = {"area_undeformed": "area", "period": "time"}.get(name, name)
+        quantity = QUANTITIES.get(name, name)
         unit = usual_spelling(text)
         if not unit or quantity in stated:
             continue
@@ -127,6 +127,8 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
             )
         if found.setdefault(quantity, unit) != unit:
             raise InputError(f"{name} is in {unit}, but there is also {found[quantity]}.")
+        if quantity == "area":
+            found["shape"] = "area"
     return found
 
 

@@ -16,7 +16,7 @@ from pcnde_bridge.data.plausibility import check_samples
 from pcnde_bridge.data.units import (
     FACTORS,
     SYSTEMS,
-    factors_to_cgs,
+    in_cgs,
     stated_units,
     usual_spelling,
 )
@@ -397,7 +397,8 @@ def read_inputs(
         columns have the same name in both files.
     """
     where: dict[str, Any] = {}
-    factor = factors_to_cgs(stated_units(units))
+    stated = stated_units(units)
+    factor = {name: in_cgs(name, 1.0, stated) for name in _AXES}
     start, usual_period = grid.time[0] / factor["time"], grid.period / factor["time"]
     if any_grid or interpolate or period is not None:
         count = grid.time.size if interpolate else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,8 +22,8 @@ from pcnde_bridge._utils.validation import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
-from pcnde_bridge.data.plausibility import OPTION, check_samples, check_units, input_sizes
-from pcnde_bridge.data.units import factors_to_cgs, stated_units
+from pcnde_bridge.data.plausibility import check_samples, check_units, input_sizes
+from pcnde_bridge.data.units import AREA_OF_SQUARE, FACTORS, SHAPES, in_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Vessel
@@ -55,6 +55,8 @@ class Inputs:
         Random numbers of the samples; None for no samples.
     outlet : array of shape (case, 2, harmonic) or None
         Response of an outlet; None for the trained one.
+    units : mapping of str to str
+        Units that are known, see :func:`~pcnde_bridge.data.units.stated_units`.
     """
 
     inflow: Array
@@ -64,6 +66,7 @@ class Inputs:
     novelty: Array | None = None
     random: RandomNumbers | None = None
     outlet: ComplexArray | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_cases(cls, cases: Cases) -> Inputs:
@@ -123,9 +126,11 @@ def inputs_from_arrays(
     """
     if area_undeformed is None:
         raise InputError("predict needs area_undeformed beside the inflow.")
-    given = stated_units(units), inflow, area_undeformed, z, period
+    stated = stated_units(units)
+    stated |= {"z": "cm"} if z is None else {}
+    stated |= {"time": "s"} if period is None else {}
+    given = stated, inflow, area_undeformed, z, period
     stated, inflow, area_undeformed, z, period = _from_objects(trained, any_grid, *given)
-    factor = factors_to_cgs(stated)
     inflow, area_undeformed = (
         real_array("inflow", inflow),
         real_array("area_undeformed", area_undeformed),
@@ -135,7 +140,7 @@ def inputs_from_arrays(
         _check_open(inflow)
     grid = trained
     if any_grid:
-        grid = _grid(trained, n_times, z, period, factor)
+        grid = _grid(trained, n_times, z, period, stated)
     elif z is not None or period is not None:
         raise InputError(
             "This model predicts only at the points and the period of its training: leave out "
@@ -150,16 +155,14 @@ def inputs_from_arrays(
             f"inflow has {len(q)} cases and area_undeformed {len(s_u)}: give equal numbers of "
             "both, or one of either."
         )
-    converted = q * factor["flow"], s_u * factor["area"]
+    converted = in_cgs("flow", q, stated), in_cgs("area", s_u, stated)
     check_samples("inflow", converted[0].T, grid.time, "case")
     q, s_u = (np.repeat(array, count // len(array), axis=0) for array in converted)
     numbers = pd.DataFrame(np.arange(count)[:, None], columns=_CASE, copy=False)
-    return Inputs(q, s_u, grid, numbers)
+    return Inputs(q, s_u, grid, numbers, units=stated)
 
 
-def check_plausible(
-    inputs: Inputs, chosen: AnyArray, stated: Collection[str], novelty: Novelty | None
-) -> None:
+def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -> None:
     """Raise if inputs outside the training data are implausible in CGS units.
 
     Parameters
@@ -168,10 +171,9 @@ def check_plausible(
         All inputs.
     chosen : array of bool, shape (case,)
         Cases outside the training data.
-    stated : collection of str
-        Quantities whose units are known.
     novelty : Novelty or None
-        Measure of the distance from the training data.
+        Measure of the distance from the training data.  Radii and diameters that are much
+        farther from these than areas are not what is meant.
 
     Raises
     ------
@@ -180,6 +182,7 @@ def check_plausible(
         ambiguous, or radii or diameters are given as areas.
     """
     inflow, area, grid = inputs.inflow[chosen], inputs.area_undeformed[chosen], inputs.grid
+    stated = inputs.units
     mean, largest = inflow.mean(axis=1), np.abs(inflow).max(axis=1)
     for wrong, what in (
         (mean < -1e-3 * largest, "is negative: flow into the vessel is positive; change the sign"),
@@ -191,29 +194,59 @@ def check_plausible(
     if "time" in stated and "flow" not in stated:
         _check_single(inflow)
     sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)
-    check_units(sizes, stated, OPTION, unique=True)
-    if novelty is None or "area" in stated:
-        return
-    found = novelty.score_shapes(inflow, area, grid.z)["shape of the vessel"]
-    for name, factor in (("radii", np.pi), ("diameters", np.pi / 4)):
-        squared = novelty.score_shapes(inflow, factor * area**2, grid.z)["shape of the vessel"]
-        if (squared < found / 4).all() and (found > 1).all():
-            raise InputError(
-                f"area_undeformed looks like {name}: {factor:.4g} times their squares are much "
-                "nearer to the training data. Give areas, cm², or pass units='cgs' (--units cgs)."
-            )
+    shapes = {*SHAPES}
+    if novelty is not None and "shape" not in stated:
+        shapes = _shapes(novelty, inflow, area, grid.z, stated)
+    # Without pressures, nothing else tells areas from radii.
+    check_units(sizes, stated, unique=True, shapes={"area"} if "area" in stated else shapes)
+
+
+def _shapes(
+    novelty: Novelty, inflow: Array, area: Array, z: Array, stated: Mapping[str, str]
+) -> set[str]:
+    """Return what areas can be: about as near to the training data as the nearest reading.
+
+    Raises
+    ------
+    InputError
+        If radii or diameters are the nearest, and much nearer than areas.
+    """
+    scores: dict[tuple[str, str], float] = {}
+    z = z / np.ptp(z) * novelty.area.center[-1]  # the length, which may be in another unit
+    for side, unit in AREA_OF_SQUARE.items():
+        factor = FACTORS["area"][unit]
+        if "area" in stated:  # by a system; squares of what was converted are in its unit
+            factor = 1 / factor
+        if unit == stated.get("area", unit):
+            for shape, of_square in SHAPES.items():
+                of = of_square * factor * area**2
+                if shape == "area":
+                    of = area if "area" in stated else factor * area
+                score = novelty.score_shapes(inflow, of, z)["shape of the vessel"]
+                scores[shape, unit if shape == "area" else side] = float(score.max())
+    shape, unit = min(scores, key=scores.__getitem__)
+    nearest, found = scores[shape, unit], scores["area", stated.get("area", "cm^2")]
+    if shape != "area" and nearest < found / 4 and found > 1:
+        raise InputError(
+            f"area_undeformed looks like a {shape} in {unit}, which would be much nearer to the "
+            f"training data: state {shape}={unit}, or area=cm^2 (--units {shape}={unit})."
+        )
+    near = (shape for (shape, _), score in scores.items() if score <= 2 * max(nearest, 1))
+    return {"area", *near}
 
 
 def _grid(
-    trained: Grid, n_times: int, z: Any, period: float | None, factor: Mapping[str, float]
+    trained: Grid, n_times: int, z: Any, period: float | None, stated: Mapping[str, str]
 ) -> Grid:
     """Return the grid of a prediction that may differ from that of the training."""
     points: Array = trained.z
     if z is not None:
-        points = factor["z"] * _rows("z", real_array("z", z), np.size(z), "points")[0]
+        points = in_cgs("z", _rows("z", real_array("z", z), np.size(z), "points")[0], stated)
         check_increasing("z", points, "cm")
     check_resolution(n_times, points.size)
-    cycle = trained.period if period is None else factor["time"] * positive("period", period)
+    cycle = trained.period
+    if period is not None:
+        cycle = in_cgs("time", positive("period", period), stated)
     time = trained.time[0] + np.arange(float(n_times)) * (cycle / n_times)
     return Grid(time, points, cycle)
 
@@ -233,7 +266,7 @@ def _from_objects(
         inflow = [waveform.samples(trained.time.size) for waveform in waveforms]
     if _are(Vessel, area):
         vessels = all_of(Vessel, "area_undeformed", np.atleast_1d(area))
-        units = {**units, "area": "cm^2", "z": "cm"}
+        units = {**units, "area": "cm^2", "shape": "area", "z": "cm"}
         length = _common("length", [v.length for v in vessels], np.ptp(trained.z), any_grid)
         if any_grid and z is None:
             z = np.linspace(0.0, length, trained.z.size)

@@ -17,7 +17,6 @@ from pcnde_bridge._utils.validation import check_memory, counted, whole
 from pcnde_bridge.config import ClosureConfig, Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.units import stated_units
 from pcnde_bridge.data.variables import FIELDS, MMHG
 from pcnde_bridge.engines import EngineChoice, select_engine
 from pcnde_bridge.engines.internal_points import internal_points
@@ -267,10 +266,7 @@ class Predictor(Displayed, ABC):
         # The novelty of a steady inflow does not depend on the period.
         other = not 0.2 < inputs.grid.period / self.grid.period < 5
         if (other or outside.any()) and not isinstance(inflow, Cases):
-            _, z, period, units = others
-            stated = set(stated_units(units))
-            stated |= {name for name, value in (("z", z), ("time", period)) if value is None}
-            check_plausible(inputs, outside | other, stated, self.novelty)
+            check_plausible(inputs, outside | other, self.novelty)
         if novelty is not None and outside.any():
             worst = int(novelty.argmax())
             beyond = {name: score[worst] for name, score in scores.items() if score[worst] > EDGE}

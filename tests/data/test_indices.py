@@ -24,7 +24,8 @@ def vessels(pressure, area_undeformed=None, flow=None) -> Cases:
     s_u = np.full((2, 5), 0.125) if area_undeformed is None else np.asarray(area_undeformed)
     area = np.repeat(s_u[:, None, :], 4, axis=1)
     flow = np.full(shape, 2.0) if flow is None else flow
-    return Cases(flow, area, np.broadcast_to(pressure, shape), s_u, TIME, Z)
+    given = flow, area, np.broadcast_to(pressure, shape), s_u, TIME, Z
+    return Cases(*given, units={"area": "cm^2", "flow": "mL/s", "z": "cm"})
 
 
 @pytest.fixture

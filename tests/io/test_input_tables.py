@@ -82,7 +82,7 @@ def test_predictions_take_the_names(read_both, tmp_path):
     assert named.labels.to_dict("list") == {"case": [1, 2], "name": ["012", "x"]}
     assert list(part.labels) == ["case"]
     named.save(tmp_path / "p.csv")
-    back = read_csv(tmp_path / "p.csv", period=1.0, units="cgs")
+    back = read_csv(tmp_path / "p.csv", period=1.0, units="cgs,area=cm^2")
     assert list(back.labels["name"]) == ["012", "x"]
 
 

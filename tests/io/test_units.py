@@ -41,8 +41,8 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
     with pytest.raises(InputError, match=r"does not look like CGS units.*--units") as caught:
         to_cases([other])
     if isinstance(units, dict):
-        stated = ",".join(f"{name}={units[name]}" for name in FACTORS if name in units)
-        assert f"--units {stated})" in str(caught.value)
+        listed = ", ".join(f"{name} in {units[name]}" for name in FACTORS if name in units)
+        assert f"with {listed}" in str(caught.value)
     found = to_cases([other], units=units)
     expected = to_cases([vessel])
     for name in (*FIELDS, "area_undeformed", "time", "z"):
