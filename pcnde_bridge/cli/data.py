@@ -9,7 +9,7 @@ import typer
 from pcnde_bridge._version import __version__
 from pcnde_bridge.cli import options
 from pcnde_bridge.cli.console import say, show_numbers
-from pcnde_bridge.cli.options import check_outputs, name_pairs, option, units_of
+from pcnde_bridge.cli.options import check_outputs, name_pairs, option
 from pcnde_bridge.errors import InputError
 
 FileFormat = Literal["simvascular", "sv1d", "csv", "hdf5"]
@@ -75,7 +75,7 @@ def convert(
         files,
         **given,
         period=period,
-        units=units_of(units),
+        units=units,
         flip=flip,
         time_points=time_points,
         points=points,
@@ -102,13 +102,15 @@ def design(
     """
     from pcnde_bridge._utils.validation import listed
     from pcnde_bridge.data.selection import case_keys, pair_positions
+    from pcnde_bridge.data.stenosis import summary
     from pcnde_bridge.evaluation import design as designs
     from pcnde_bridge.io.datasets import load_cases
     from pcnde_bridge.io.input_tables import read_candidates
     from pcnde_bridge.model.pcnde import PCNDE
 
     given = read_candidates(inflow, area, period)
-    candidates, labels = designs.all_pairs(*given, units=units_of(units))
+    candidates, labels = designs.all_pairs(*given, units=units)
+    say(summary(candidates.grid.z, candidates.area_undeformed))
     finished = None if done is None else load_cases(str(done))
     pairs = [] if finished is None else case_keys(finished.labels)
     if foreign := sorted({*pairs}.difference(case_keys(labels))):
@@ -172,5 +174,8 @@ def _check_data_set(path: Path, inputs: Sequence[Path] = ()) -> None:
 
 
 def _save(cases: Any, out: Path) -> None:
+    from pcnde_bridge.data.stenosis import summary
+
     cases.save(out)
+    say(summary(cases.z, cases.area_undeformed))
     say(f"Saved {cases!r} in {out}.")

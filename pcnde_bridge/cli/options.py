@@ -47,7 +47,11 @@ PRESET = option("paper", f"Preset: {', '.join(PRESETS)}.")
 CONFIG = option(None, "JSON file of settings that differ from the preset.", "--config")
 SEED = option(0, "Random seed for the initial weights and the batch order.", min=0)
 ENGINE = option("auto", "Compute engine.")
-UNITS = option(None, "cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm.")
+UNITS = option(
+    None,
+    "cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm. Radii or diameters in place "
+    "of areas: radius=mm, diameter=cm; cgs,area=cm^2 denies them.",
+)
 OUTLET = option(
     None,
     'JSON file of an outlet (preset physics), such as {"kind": "Windkessel", "resistance": 1e4}.',
@@ -152,8 +156,3 @@ def name_pairs(text: str | None, option: str) -> dict[str, str] | None:
     if not all(name and value for name, _, value in parts):
         raise InputError(f"{option} must look like flow=…,pressure=…, got {text!r}.")
     return {name: value for name, _, value in parts}
-
-
-def units_of(text: str | None) -> str | dict[str, str] | None:
-    """Return the units of ``--units``: a system of units, or units by quantity."""
-    return name_pairs(text, "--units") if text and "=" in text else text

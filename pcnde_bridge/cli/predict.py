@@ -19,7 +19,6 @@ from pcnde_bridge.cli.options import (
     option,
     outlet_of,
     split_of,
-    units_of,
 )
 from pcnde_bridge.engines import EngineName
 from pcnde_bridge.errors import InputError
@@ -117,6 +116,8 @@ def predict(
     import pandas as pd
 
     from pcnde_bridge._utils.validation import counted, positive
+    from pcnde_bridge.data.stenosis import summary
+    from pcnde_bridge.data.units import in_cgs, stated_units
     from pcnde_bridge.io.input_tables import read_inputs
     from pcnde_bridge.io.predictions import check_target, save_csv
     from pcnde_bridge.model.ensemble import Ensemble, load_model
@@ -139,12 +140,14 @@ def predict(
         area,
         fitted.grid,
         any_grid=fitted.any_grid,
-        units=units_of(units),
+        units=units,
         period=None if period is None else positive("--period", period, "s"),
         interpolate=interpolate,
     )
     inputs = given.inflow, given.area_undeformed
-    settings: dict[str, Any] = {"units": units_of(units), "samples": samples, **given.where}
+    areas = in_cgs("area", given.area_undeformed, stated_units(units))
+    say(summary(given.where.get("z", fitted.grid.z), areas))
+    settings: dict[str, Any] = {"units": units, "samples": samples, **given.where}
     settings["outlet"] = outlet_of(outlet)
     tables: list[pd.DataFrame] = []
 

@@ -36,6 +36,26 @@ def healthy_area(z: Array, area_undeformed: Array) -> Array:
     return np.asarray(np.exp(first + share * (last - first)))
 
 
+def summary(z: Array, area_undeformed: Array) -> str:
+    """Return a sentence on the healthy diameters and the blockages of vessels.
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+    points, ratios = throats(z, area_undeformed)
+    healthy = healthy_area(z, area_undeformed)[np.arange(len(points)), points]
+    ends_of = [
+        dict.fromkeys(f"{limit:{form}}" for limit in (values.min(), values.max()))
+        for values, form in ((10 * diameter(healthy), ".3g"), (1 - ratios, ".0%"))
+    ]
+    of_healthy, of_blockage = (" to ".join(limits) for limits in ends_of)
+    return f"Vessels: healthy diameter {of_healthy} mm, blockage {of_blockage}."
+
+
 def throats(z: Array, area_undeformed: Array) -> tuple[npt.NDArray[np.intp], Array]:
     """Return the point of the narrowest stenosis, and its S_u over the healthy area.
 

@@ -185,6 +185,7 @@ def _vessel(
         z=z,
         labels=with_prefix(LABEL_PREFIX, facts),
         period=None if isinstance(period, str) else period,
+        units={"shape": "area"} if WRITER in facts else {},
         predicted=WRITER in facts,
     )
     arrays = {**results.variables(), "area_undeformed": results.area_undeformed}

@@ -103,7 +103,8 @@ def _read_vessel(path: Path, wanted: Sequence[str] | None) -> VesselResults:
     joined: dict[str, Any] = {
         name: np.concatenate([part[name] for part in parts]).T for name in parts[0]
     }
-    return VesselResults(str(path), **joined, time=step * np.arange(float(saves)))
+    time = step * np.arange(float(saves))
+    return VesselResults(str(path), **joined, time=time, units={"shape": "area"})
 
 
 def _read_input(path: Path) -> tuple[str, dict[str, _Segment], float, int]:

@@ -30,7 +30,7 @@ class VesselResults(Displayed):
         Labels of the case in the file.
     units : mapping of str to str
         Units stated in the file, by ``flow``, ``area``, ``pressure``, ``wall_shear_stress``,
-        ``z`` and ``time``.
+        ``z`` and ``time``; ``shape`` if areas cannot be radii or diameters.
     period : float or None
         Length of the cycle, if the file states it.
     predicted : bool
