@@ -287,3 +287,39 @@ def same_numbers(a, b):
     ]
     same_history = a.history.drop(columns="seconds").equals(b.history.drop(columns="seconds"))
     return same_history and all(map(np.array_equal, *parts_of))
+
+
+def artery(
+    diameter, speed, slenderness, period, pressure, n_times=16, rigid=False, shear=1.0, drop=True
+):
+    """An artery in CGS units whose volume is conserved: pulses that grow along it.
+
+    Its wall shear stress is ``shear`` times Poiseuille's; None: it has none.  With ``drop``,
+    its pressure accelerates the flow and overcomes Poiseuille's friction.
+    """
+    time, z = np.arange(n_times) / n_times * period, np.linspace(0, slenderness * diameter, 7)
+    undeformed = np.full(7, np.pi / 4 * diameter**2)
+    angle = 2 * np.pi * np.arange(n_times) / n_times
+    strain = 1.05 + (0.0 if rigid else 0.03) * np.cos(angle)
+    area = strain[:, None] * undeformed
+    flow = speed * undeformed[0] * (1 + 0.5 * np.sin(angle))[:, None] * np.ones(7)
+    growth = -2 * np.pi / period * (0.0 if rigid else 0.03) * np.sin(angle)[:, None] * undeformed
+    flow = flow - growth * z
+    pressures = pressure * (1 + 0.2 * np.cos(angle))[:, None] * np.ones(7)
+    if drop:
+        harmonic = 2j * np.pi / period * np.arange(n_times // 2 + 1)[:, None]
+        rate = np.fft.irfft(np.fft.rfft(flow, axis=0) * harmonic, n_times, axis=0)
+        slope = 1.06 * rate / undeformed + 8 * np.pi * 0.04 * flow / undeformed**2
+        pressures -= (slope[:, :1] + slope) / 2 * z  # the integral, as slopes are linear in z
+    fields = {
+        "flow": flow[None],
+        "area": area[None],
+        "pressure": pressures[None],
+        "area_undeformed": undeformed[None],
+        "time": time,
+        "z": z,
+    }
+    if shear is None:
+        return fields
+    stress = shear * 4 * 0.04 * flow / (np.pi * (diameter / 2) ** 3)
+    return {**fields, "wall_shear_stress": stress[None]}

@@ -7,6 +7,7 @@ import numpy as np
 from pcnde_bridge._typing import Array
 
 _FEWEST = 16  # time points that show accelerations
+_SIMILAR = 0.98  # correlation; 0.99 for growth and excess flow of published cases
 _CERTAIN = 5.0  # standard errors of a mean pressure drop
 
 
@@ -34,6 +35,21 @@ def growth_of_volume(flow: Array, area: Array, time: Array, z: Array) -> Array:
     slope: Array = np.full(len(flow), np.nan)
     np.divide(product, growths, out=slope, where=related & (len(time) >= 8))
     return slope
+
+
+def lag(signal: Array, other: Array) -> int:
+    """Return by how many steps a periodic signal is later than another, within half a cycle.
+
+    It is 0 where the signals are as similar as they are, or not similar at any lag.
+    """
+    deviations = [values - values.mean() for values in (signal, other)]
+    size = max(math.prod(map(np.linalg.norm, deviations)), np.finfo(float).tiny)
+    one, two = map(np.fft.rfft, deviations)
+    similar = np.fft.irfft(one * two.conj(), len(signal)) / size
+    best = int(similar.argmax())
+    if similar[best] < _SIMILAR or similar[best] - similar[0] < 1 - _SIMILAR:
+        return 0
+    return best if best <= len(signal) // 2 else best - len(signal)
 
 
 def momentum(

@@ -17,7 +17,8 @@ from pcnde_bridge._utils.validation import (
     naming,
     real_array,
 )
-from pcnde_bridge.data.plausibility import BALANCES, check_units, check_vessel, sizes_of
+from pcnde_bridge.data.plausibility import BALANCES, check_units, sizes_of
+from pcnde_bridge.data.single_vessel import check_vessel
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -123,7 +124,7 @@ def check_plausible(
         If magnitudes, the flow along a vessel or a sample are implausible; see
         :mod:`pcnde_bridge.data.plausibility`.
     """
-    z, time, flip = arrays["z"], arrays["time"], "Pass flow=-flow, or reverse the points."
+    z, time, flip = arrays["z"], arrays["time"], "Change its sign, or reverse the points."
     for case in range(len(arrays["flow"]) if strict else 0):
         with naming(f"case {case}"):
             variables = {name: arrays[name][case] for name in FIELDS if name in arrays}

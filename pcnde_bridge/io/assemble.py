@@ -20,7 +20,8 @@ from pcnde_bridge._utils.validation import check_increasing, naming, whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.checks import check_arrays
 from pcnde_bridge.data.labels import default_labels
-from pcnde_bridge.data.plausibility import check_axes, check_units, check_vessel, sizes_of
+from pcnde_bridge.data.plausibility import check_units, sizes_of
+from pcnde_bridge.data.single_vessel import check_axes, check_vessel
 from pcnde_bridge.data.units import FACTORS, QUANTITIES, in_cgs, stated_units
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.resampling import (

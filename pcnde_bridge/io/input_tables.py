@@ -12,7 +12,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.grid import Grid
-from pcnde_bridge.data.plausibility import check_samples
+from pcnde_bridge.data.single_vessel import check_samples
 from pcnde_bridge.data.units import (
     FACTORS,
     SYSTEMS,

@@ -22,7 +22,8 @@ from pcnde_bridge._utils.validation import (
 )
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
-from pcnde_bridge.data.plausibility import check_samples, check_units, input_sizes
+from pcnde_bridge.data.plausibility import check_units, input_sizes
+from pcnde_bridge.data.single_vessel import check_samples
 from pcnde_bridge.data.units import AREA_OF_SQUARE, FACTORS, SHAPES, in_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
@@ -297,7 +298,7 @@ def _check_open(inflow: Array) -> None:
     if np.ptp(inflow, axis=-1).all() and np.array_equal(inflow[..., 0], inflow[..., -1]):
         raise InputError(
             "The last time point of the inflow repeats the first: leave it out, inflow[..., :-1]. "
-            "If it belongs to the cycle, pass period= to a model of the preset physics."
+            "If it belongs to the cycle, pass period= (--period) to a model of the preset physics."
         )
 
 
@@ -310,7 +311,8 @@ def _check_single(inflow: Array) -> None:
         if rest == 0 and repeated.all():
             raise InputError(
                 f"The inflow repeats itself {count} times: give one cycle, inflow[..., :{steps}]. "
-                "If it is one, pass period= to a model of the preset physics, or units='cgs'."
+                "If it is one, pass period= (--period) to a model of the preset physics, or "
+                "units='cgs' (--units cgs)."
             )
 
 

@@ -267,7 +267,7 @@ class PCNDE(Predictor):
         kind_of(self.config).check_outlet(chosen)
         if outlet is None and not chosen.is_common:
             raise InputError(
-                "Each training case has its own outlet: give outlet= for a prediction."
+                "Each training case has its own outlet: give outlet= (--outlet) for a prediction."
             )
         assert isinstance(parameters, ClosureParameters) and isinstance(self.config, ClosureConfig)
         given = ModelInputs(inputs.inflow, inputs.area_undeformed, inputs.grid)

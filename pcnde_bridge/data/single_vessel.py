@@ -1,0 +1,214 @@
+"""Checks that results are those of one vessel over one cycle."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pcnde_bridge._typing import Array
+from pcnde_bridge.data.balances import lag
+from pcnde_bridge.errors import InputError
+
+_LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
+_GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
+_RESOLVED, _FINE = 16, 40  # time points that show the shape of a waveform, and its derivatives
+_LAG = 0.04  # of the cycle; walls that creep are a little late
+_DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
+_TRANSPOSED = (
+    "the arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
+    "np.swapaxes(array, -1, -2)."
+)
+
+
+def _is_constant(flow: Array) -> bool:
+    return bool(np.ptp(flow) <= _DRIFT * np.abs(flow).mean())
+
+
+def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: str) -> None:
+    """Raise if results are not those of one vessel, or a time point is damaged.
+
+    Parameters
+    ----------
+    variables : mapping of str to array of shape (time, z)
+        Flow (mL/s), area (cm²) and others of one vessel over one cycle.
+    z, time : array
+        Points, cm, and time points, s.
+    flip : str
+        Advice for a flow that runs against z.
+
+    Raises
+    ------
+    InputError
+        See :func:`check_flow` and :func:`check_samples`; also if pressure or flow are
+        shifted in time, or if most of the wall shear stress points against the flow.
+    """
+    check_axes(variables["flow"])
+    for name, values in variables.items():
+        check_samples(name, values, time)
+    check_flow(variables["flow"], variables["area"], z, flip)
+    _check_phases(variables, z, time)
+    for name in ("area", "pressure"):
+        mean = np.abs(variables[name].mean(axis=0))
+        missing, present = mean < 1e-3 * mean.max(), mean > 0.5 * mean.max()
+        missing[1:-1] &= present[:-2] | present[2:]
+        missing[[0, -1]] &= present[[1, -2]]
+        if missing.any():
+            at = int(missing.argmax())
+            raise InputError(
+                f"the mean {name} is {mean[at]:.4g} at z = {z[at]:.4g} cm (point {at}), and usual "
+                "beside it: leave out the points without results."
+            )
+    stress = variables.get("wall_shear_stress", np.ones((1, 1)))
+    if (usual := np.median(stress.mean(axis=0))) < 0:
+        raise InputError(
+            f"the wall shear stress points against the flow, its mean is {usual:.4g} dyn/cm² in "
+            "the middle of its range: change its sign, or give its magnitude."
+        )
+
+
+def _check_phases(variables: Mapping[str, Array], z: Array, time: Array) -> None:
+    """Raise if pressure or flow is shifted in time against the area."""
+    if _is_coarse(time):
+        return
+    volume = np.asarray(np.trapezoid(variables["area"], z, axis=1))
+    flow = variables["flow"]
+    growth = np.roll(volume, -1) - np.roll(volume, 1)
+    for name, signal, of in (
+        ("pressure", variables["pressure"].mean(axis=1), volume),
+        ("flow", flow[:, 0] - flow[:, -1], growth),
+    ):
+        if abs(steps := lag(signal, of)) > _LAG * len(time):
+            late = "late" if steps > 0 else "early"
+            raise InputError(
+                f"the {name} is {abs(steps) * (time[1] - time[0]):.3g} s too {late} for the area "
+                "of elastic walls: all variables must begin at the same time of the cycle."
+            )
+
+
+def _is_coarse(time: Array) -> bool:
+    """Return whether time points are few or in unequal steps."""
+    return len(time) < _RESOLVED or bool(np.ptp(np.diff(time)) > 1e-3 * (time[1] - time[0]))
+
+
+def check_samples(name: str, values: Array, time: Array, column: str = "point") -> None:
+    """Raise if signals are not one cycle, or one time point does not belong to those around it.
+
+    A time point is compared with the cubic through the two on either side; without it, all
+    others must be much nearer to theirs.  Time points in unequal steps are not compared.
+
+    Parameters
+    ----------
+    name : str
+        Name of the signals, for the message.
+    values : array of shape (time, column)
+        Periodic signals.
+    time : array of shape (time,)
+        Time points, s, without the end of the cycle.
+    column : str
+        Name of the second axis, for the message.
+
+    Raises
+    ------
+    InputError
+        If there is a gap between the end and the start, or a time point is damaged.
+    """
+    if _is_coarse(time):
+        return
+    floor = np.maximum(1e-4 * np.abs(values).max(axis=0), np.finfo(float).tiny)
+
+    def deviation(of: Array) -> Array:
+        before, after = (np.roll(of, n, axis=0) for n in (1, -1))
+        beyond = np.roll(of, 2, axis=0) + np.roll(of, -2, axis=0)
+        return np.asarray(of - (4 * (before + after) - beyond) / 6)
+
+    off = deviation(values)
+    worst, columns = np.abs(off).argmax(axis=0), np.arange(values.shape[1])
+    size = np.abs(off[worst, columns])
+    columns = columns[size > np.maximum(0.02 * np.ptp(values, axis=0), floor)]
+    repaired = values.copy()
+    repaired[worst[columns], columns] -= off[worst[columns], columns]
+    lone = size[columns] > _LONE * np.abs(deviation(repaired[:, columns])).max(axis=0)
+    for at in columns[lone]:
+        row = worst[at]
+        raise InputError(
+            f"{name} is {values[row, at]:.4g} at {time[row]:g} s (time point {row}, {column} {at}),"
+            f" and the time points around it give {repaired[row, at]:.4g}: a single sample is "
+            "damaged. Correct it, or interpolate it."
+        )
+    gaps = _gaps(values, floor)
+    if gaps[at := int(gaps.argmax())] > _GAP:
+        raise InputError(
+            f"it is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
+            f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
+            "or pass the period (--period)."
+        )
+
+
+def _gaps(values: Array, floor: Array) -> Array:
+    """Return the gap between the end and the start of each signal over the largest within it.
+
+    A gap is the step to the next time point, or its distance from both a line and a parabola
+    through those on one side, or from both polynomials of degree 3 and 4, whichever side is nearer.
+    """
+    found: list[Array] = []
+    for weights in ((1,), (2, -1), (3, -3, 1), (4, -6, 4, -1), (5, -10, 10, -5, 1)):
+        off = [
+            values - sum(w * np.roll(values, side * n, axis=0) for n, w in enumerate(weights, 1))
+            for side in (1, -1)
+        ]
+        jumps = np.minimum(np.abs(off[0]), np.abs(np.roll(off[1], 1, axis=0)))
+        found.append(jumps[0] / np.maximum(jumps[len(weights) : -2].max(axis=0), floor))
+    step, line, parabola, cubic, quartic = found
+    gaps = np.maximum(step, np.minimum(line, parabola))
+    # Coarse samples of smooth signals are no polynomials of higher degree.
+    return np.maximum(gaps, np.minimum(cubic, quartic)) if len(values) >= _FINE else gaps
+
+
+def check_flow(flow: Array, area: Array, z: Array, flip: str) -> None:
+    """Raise if the mean flow runs against z, or is not the same all along the vessel.
+
+    Parameters
+    ----------
+    flow, area : array of shape (time, z)
+        Flow rate, mL/s, and area, cm², of one vessel over one cycle.
+    z : array of shape (z,)
+        Points, cm.
+    flip : str
+        Advice for a flow that runs against z.
+
+    Raises
+    ------
+    InputError
+        If the flow is not that of one vessel; the message names the place.
+    """
+    mean, scale = flow.mean(axis=0), float(np.abs(flow).mean())
+    tolerance = _DRIFT * scale
+    inlet, middle = float(mean[0]), float(np.median(mean))
+    if np.ptp(mean) <= tolerance:
+        if middle < -1e-3 * scale:
+            raise InputError(
+                f"the flow runs against z, its mean is {inlet:.4g} mL/s at the first point. {flip}"
+            )
+        return
+    worst = int(np.abs(mean - (inlet if abs(inlet - middle) <= tolerance / 2 else middle)).argmax())
+    candidates = (
+        (
+            np.abs(flow).mean(axis=0),
+            "Its sign seems to change along the vessel: give it one sign.",
+        ),
+        ((flow * area).mean(axis=0), "Probably these are velocities: flow × area is constant."),
+        (mean[1:-1], "Probably it differs at the ends alone: leave out the end points."),
+        (np.zeros(1), "Leave out branches, or give the part of one vessel without them."),
+    )
+    advice = next(text for values, text in candidates if _is_constant(values))
+    raise InputError(
+        f"the mean flow changes along the vessel: {middle:.4g} mL/s in the middle of its range, "
+        f"but {mean[worst]:.4g} mL/s at z = {z[worst]:.4g} cm (point {worst}); at most "
+        f"{_DRIFT:.0%} is what averaging leaves. {advice}"
+    )
+
+
+def check_axes(flow: Array) -> None:
+    """Raise if a square array of the flow is (z, time) in place of (time, z)."""
+    square = flow.shape[0] == flow.shape[1]
+    if square and _is_constant(flow.mean(axis=1)) and not _is_constant(flow.mean(axis=0)):
+        raise InputError(_TRANSPOSED)
