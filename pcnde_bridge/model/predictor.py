@@ -121,8 +121,9 @@ class Predictor(Displayed, ABC):
             training.  Pressures over time have the period of the inflow.
         units : str or mapping, optional
             ``"cgs"``, ``"mm-g-s"`` or ``"si"``, or the units that differ from CGS, such as
-            ``{"area": "mm^2"}``.  By default all numbers are CGS; those outside the training
-            data are rejected if they are implausible, or plausible in other units as well.
+            ``{"area": "mm^2"}``, or ``{"radius": "mm"}`` for radii in place of areas.  By
+            default all numbers are CGS; those outside the training data are rejected if they
+            are implausible, or plausible in other units, or as radii or diameters, as well.
         samples : int
             Number of samples (a model of the preset ``physics``), 0 or at least 2, for the
             result's ``samples``, ``standard_deviation()`` and ``interval()``.  They need the

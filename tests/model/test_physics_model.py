@@ -338,7 +338,7 @@ def test_predictions_count_time_from_the_models_first_time_point(model):
     late = PCNDE(
         model.config, model.parameters, Grid(model.grid.time + 2, Z, 1.0), model.engine, {}, ()
     )
-    assert np.array_equal(late.predict(INFLOW, AREA).time, model.grid.time + 2)
+    assert np.array_equal(late.predict(INFLOW, AREA, units="cgs").time, model.grid.time + 2)
 
 
 class Unsettled:

@@ -1,0 +1,56 @@
+"""Statements of units: systems, quantities, and radii or diameters in place of areas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pcnde_bridge.data.units import SYSTEMS, in_cgs, stated_units
+from pcnde_bridge.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("units", "expected"),
+    [
+        (None, {}),
+        ("si", SYSTEMS["si"]),
+        ("z=mm,time=ms", {"z": "mm", "time": "ms"}),
+        ({"radius": "mm"}, {"area": "mm^2", "shape": "radius"}),
+        ({"diameter": "cm", "z": "mm"}, {"area": "cm^2", "shape": "diameter", "z": "mm"}),
+        ("cgs,area=cm^2", {**SYSTEMS["cgs"], "shape": "area"}),
+        ("mm-g-s,radius=m", {**SYSTEMS["mm-g-s"], "area": "m^2", "shape": "radius"}),
+    ],
+)
+def test_statements(units, expected):
+    assert stated_units(units) == expected
+
+
+@pytest.mark.parametrize(
+    ("units", "area"),
+    [
+        ({}, 2.0),
+        ("area=mm^2", 0.02),
+        ("radius=mm", 0.04 * np.pi),
+        ("radius=cm", 4 * np.pi),
+        ("diameter=mm", 0.01 * np.pi),
+        ("diameter=m", 1e4 * np.pi),
+    ],
+)
+def test_a_circle_of_two(units, area):
+    assert in_cgs("area", 2.0, stated_units(units)) == pytest.approx(area, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("units", "message"),
+    [
+        ({"radius": "mm", "area": "mm^2"}, "names radius and area: an area has one unit"),
+        ("cgs,diameter=mm,radius=mm", "names diameter and radius"),
+        ({"radius": "mm^2"}, r"Unknown unit 'mm\^2' of radius; known are \['cm', 'mm', 'm'\]"),
+        ("cgs,flow", "Unknown unit '' of flow"),
+        ("inches", "Unknown units 'inches'; give one of"),
+        ("thickness=mm", "units names 'thickness'; it can name .*'diameter'"),
+    ],
+)
+def test_statements_that_are_refused(units, message):
+    with pytest.raises(InputError, match=message):
+        stated_units(units)
