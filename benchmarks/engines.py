@@ -74,8 +74,8 @@ def cases_by_formula() -> Cases:
     flow = inflow[:, :, None] * (1 - 0.02 * z / 4 * np.cos(2 * np.pi * time_)[:, None])
     pressure = 1.09e5 * flow[:, :, -1:] + 2e3 * geometry[:, None, None] * flow * (z < 2)
     area = area_undeformed[:, None] * (1 + pressure / 4.9e6) ** 2
-    labels = {"geometry": geometry, "waveform": waveform}
-    return Cases(flow, area, pressure, area_undeformed, time_, z, period=1.0, labels=labels)
+    more = {"labels": {"geometry": geometry, "waveform": waveform}, "units": "cgs,area=cm^2"}
+    return Cases(flow, area, pressure, area_undeformed, time_, z, period=1.0, **more)
 
 
 def measure(name: str, cases: Cases) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.balances import growth_of_volume, momentum
-from pcnde_bridge.data.units import AREA_OF_SQUARE, FACTORS, SHAPES, SYSTEMS
+from pcnde_bridge.data.units import FACTORS, SHAPES, SYSTEMS
 from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
@@ -77,7 +77,7 @@ _RANGES = (
     _Range("inflow less outflow, over the growth of the volume,", "", *(0.3, 2.8) * 2, _BALANCE),
     _Range("the density by pressures and accelerations", " g/cm³", 0.75, 1.43, 0.4, 3, _INERTIA),
     _Range(
-        "the pressure drop over Poiseuille's", "", 0.6, 40, -math.inf, math.inf, _FRICTION, _DROP
+        "the pressure drop over Poiseuille's", "", 0.6, 200, -math.inf, math.inf, _FRICTION, _DROP
     ),
 )
 
@@ -265,25 +265,18 @@ def _units_error(
     has_shapes = any("radius" in units or "diameter" in units for units in others)
     cgs = _PASS.format("'cgs,area=cm^2'", "cgs,area=cm^2") if has_shapes else _CGS
     listed = _listed(others)
+    state = _STATE_SHAPE if has_shapes else "state the units (--units)"
     if not doubts:
-        state = _STATE_SHAPE if has_shapes else "state the units (--units)"
         problem = f"the units are ambiguous: the numbers are usual in CGS units, and with {listed}"
         return UnitsError(problem, f"{state}; if they are CGS, {cgs}")
-    problem = (
-        f"this does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {'; '.join(doubts)}. "
-    )
+    problem = f"does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {'; '.join(doubts)}"
+    usual = f"All numbers are usual with {listed}"
     if not others:
-        problem += "They are unusual in every combination of known units"
+        usual = "They are unusual in every combination of known units"
         state = "correct the numbers, such as radii or diameters in place of areas"
-    elif by_system:
-        return UnitsError(f"{problem}All numbers are usual with {listed}", _STATE_SHAPE)
-    elif len(others) == 1:
-        problem += f"All numbers are usual with {listed}"
+    elif len(others) == 1 and not by_system:
         state = _stated(others[0], open_)
-    else:
-        problem += f"The numbers are usual with {listed}"
-        state = _STATE_SHAPE if has_shapes else "state the units (--units)"
-    return UnitsError(problem, f"{state}, or {cgs} if they are right")
+    return UnitsError(f"this {problem}. {usual}", f"{state}, or {cgs} if they are right")
 
 
 def _readings(
@@ -312,18 +305,12 @@ def _readings(
             usual &= np.logical_not((low * factor < of.low) | (high * factor > of.high))
         for place in np.argwhere(usual):
             units = {n: [*choices[n].values()][i] for n, i in zip(choices, place, strict=True)}
-            found.append(_without_cgs(units, shape, stated))
+            others = {name: unit for name, unit in units.items() if FACTORS[name][unit] != 1}
+            if shape != "area":
+                others.pop("area", None)
+                others[shape] = {**stated, **units}["area"].removesuffix("^2")
+            found.append(others)
     return [units for units in found if units]
-
-
-def _without_cgs(units: dict[str, str], shape: str, stated: Mapping[str, str]) -> dict[str, str]:
-    """Return the units that differ from CGS; of radii and diameters in place of areas, all."""
-    others = {name: unit for name, unit in units.items() if FACTORS[name][unit] != 1}
-    if shape != "area":
-        others.pop("area", None)
-        of_area = {**stated, **units}["area"]
-        others[shape] = next(unit for unit, area in AREA_OF_SQUARE.items() if area == of_area)
-    return others
 
 
 def _stated(units: Mapping[str, str], open_: Collection[str]) -> str:

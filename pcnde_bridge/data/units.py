@@ -43,9 +43,6 @@ QUANTITIES = {"area_undeformed": "area", "period": "time"}
 SHAPES: Mapping[str, float] = {"area": 1.0, "radius": math.pi, "diameter": math.pi / 4}
 """What a column of areas can hold; for lengths, the area of a circle over their squares."""
 
-AREA_OF_SQUARE = dict(zip(FACTORS["z"], FACTORS["area"], strict=True))
-"""Unit of the area of a square, by the unit of its sides."""
-
 
 def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
     """Return the units that the caller states, by quantity.
@@ -90,7 +87,7 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
             continue
         if "shape" in stated:
             raise InputError(f"units names {stated['shape']} and {name}: an area has one unit.")
-        stated |= {"shape": name, "area": unit if name == "area" else AREA_OF_SQUARE[unit]}
+        stated |= {"shape": name, "area": unit if name == "area" else f"{unit}^2"}
     return stated
 
 

@@ -24,7 +24,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
 from pcnde_bridge.data.plausibility import check_units, input_sizes
 from pcnde_bridge.data.single_vessel import check_samples
-from pcnde_bridge.data.units import AREA_OF_SQUARE, FACTORS, SHAPES, in_cgs, stated_units
+from pcnde_bridge.data.units import FACTORS, SHAPES, in_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Vessel
@@ -212,25 +212,23 @@ def _shapes(
     InputError
         If radii or diameters are the nearest, and much nearer than areas.
     """
-    scores: dict[tuple[str, str], float] = {}
     z = z / np.ptp(z) * novelty.area.center[-1]  # the length, which may be in another unit
-    for side, unit in AREA_OF_SQUARE.items():
-        factor = FACTORS["area"][unit]
-        if "area" in stated:  # by a system; squares of what was converted are in its unit
-            factor = 1 / factor
-        if unit == stated.get("area", unit):
-            for shape, of_square in SHAPES.items():
-                of = of_square * factor * area**2
-                if shape == "area":
-                    of = area if "area" in stated else factor * area
-                score = novelty.score_shapes(inflow, of, z)["shape of the vessel"]
-                scores[shape, unit if shape == "area" else side] = float(score.max())
+    raw = area / FACTORS["area"][stated.get("area", "cm^2")]
+    scores = {
+        (shape, unit): novelty.score_shapes(
+            inflow, in_cgs("area", raw, {"shape": shape, "area": unit}), z
+        )["shape of the vessel"].max()
+        for shape in SHAPES
+        for unit in FACTORS["area"]
+        if unit == stated.get("area", unit)
+    }
     shape, unit = min(scores, key=scores.__getitem__)
     nearest, found = scores[shape, unit], scores["area", stated.get("area", "cm^2")]
     if shape != "area" and nearest < found / 4 and found > 1:
+        reading = f"{shape}={unit.removesuffix('^2')}"
         raise InputError(
-            f"area_undeformed looks like a {shape} in {unit}, which would be much nearer to the "
-            f"training data: state {shape}={unit}, or area=cm^2 (--units {shape}={unit})."
+            f"area_undeformed looks like a {shape}, which would be much nearer to the training "
+            f"data: state {reading}, or area=cm^2, as units (--units {reading})."
         )
     near = (shape for (shape, _), score in scores.items() if score <= 2 * max(nearest, 1))
     return {"area", *near}

@@ -42,7 +42,8 @@ def polynomial_cases(n_waveforms: int = 5, n_geometries: int = 4) -> Cases:
     area = area_undeformed[:, None, :] * (1.05 + 0.001 * w_ * over + 0.002 * g_**3)
     pressure = 1e5 * flow[:, :, -1:] + (4 - z) * (100 * w_**3 + 50 * g_)
     labels = {"geometry": g, "waveform": w}
-    return Cases(flow, area, pressure, area_undeformed, time, z, labels=labels)
+    stated = {"labels": labels, "units": "cgs,area=cm^2"}  # a pressure by formula
+    return Cases(flow, area, pressure, area_undeformed, time, z, **stated)
 
 
 @pytest.fixture
@@ -116,7 +117,7 @@ def test_polynomial_components():
     labels = {"geometry": mixed, "waveform": mixed}
     other = Cases(
         flow, area, 1e5 * flow, area_undeformed, np.arange(8) / 8, np.linspace(0, 4, 5),
-        labels=labels,
+        labels=labels, units="cgs,area=cm^2",
     )  # fmt: skip
     surface = ResponseSurface(2, 3).fit(other)
     assert surface._coefficients["flow"].shape == (6, 8, 5)
@@ -240,7 +241,7 @@ def test_drop_regression_finds_its_own_terms(small_cases):
     pressure = 1e5 + drop[:, :, None] * (np.arange(21) <= 10)
     cases = Cases(
         small_cases.flow, small_cases.area, pressure, small_cases.area_undeformed,
-        small_cases.time, small_cases.z, labels=small_cases.labels,
+        small_cases.time, small_cases.z, labels=small_cases.labels, units="cgs,area=cm^2",
     )  # fmt: skip
     train, test = cases.select(waveform=[1, 2]), cases.select(waveform=[3])
     found = DropRegression(2, _Truth()).fit(train).predict(test)

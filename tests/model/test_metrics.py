@@ -128,7 +128,7 @@ def test_errors_of_the_drop_and_of_ffr_by_hand(small_cases):
 def test_without_a_drop_there_is_no_relative_error_of_it(small_cases):
     flat = Cases(
         small_cases.flow, small_cases.area, np.full_like(small_cases.pressure, 1e5),
-        small_cases.area_undeformed, small_cases.time, small_cases.z,
+        small_cases.area_undeformed, small_cases.time, small_cases.z, units="cgs,area=cm^2",
     )  # fmt: skip
     found = pooled_errors({"pressure": flat.pressure}, flat)
     assert found["pressure"] == 0.0

@@ -407,7 +407,7 @@ def test_model_of_the_paper_rejects_other_grids_and_samples(small_cases, toy_con
             model.predict(*inputs, **options)
     with pytest.raises(InputError, match="preset 'physics'"):
         model.predict(*inputs, samples=2)
-    assert model.predict(*inputs).novelty is None
+    assert model.predict(*inputs, units="cgs").novelty is None
 
 
 # ---- novelty ---------------------------------------------------------------

@@ -153,13 +153,15 @@ def test_both_engines_fit_the_same_model(model, cases, prediction, tmp_path):
 
 def test_cases_that_do_not_vary_are_refused():
     steady = np.ones((2, 32, 41))
-    same = Cases(steady, 0.125 * steady, 1e5 * steady, AREA[:2], TIME, Z)
+    stated = {"units": "cgs,area=cm^2"}  # without a pressure drop
+    same = Cases(steady, 0.125 * steady, 1e5 * steady, AREA[:2], TIME, Z, **stated)
     with pytest.raises(InputError, match="do not vary"):
         fit_physics(same)
     size = np.array([1.0, 2.0])[:, None, None]
-    steady_flow = Cases(size * steady, 0.125 * steady, size * 1e5 * steady, AREA[:2], TIME, Z)
+    flows, areas = size * steady, 0.125 * steady
+    steady_flow = Cases(flows, areas, size * 1e5 * steady, AREA[:2], TIME, Z, **stated)
     wave = 1 + 0.1 * np.cos(2 * np.pi * TIME)[:, None]
-    rigid = Cases(wave * steady, 0.125 * steady, wave * 1e5 * steady, AREA[:2], TIME, Z)
+    rigid = Cases(wave * steady, areas, wave * 1e5 * steady, AREA[:2], TIME, Z, **stated)
     for unchanging in (steady_flow, rigid):
         with pytest.raises(InputError, match="inflow is steady or their walls are rigid"):
             fit_physics(unchanging)

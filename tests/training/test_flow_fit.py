@@ -116,7 +116,7 @@ def elastic_cases():
     flow = np.repeat(1.5 + 0.5 * np.sin(angle), 21, axis=2)
     flow[..., 1:] -= integral / 0.5  # so that â is one half
     pressure = 1e5 * flow[..., :1] * np.ones(21)
-    return Cases(flow, area, pressure, s_u, t, z, period=1.0)
+    return Cases(flow, area, pressure, s_u, t, z, period=1.0, units="cgs,area=cm^2")
 
 
 @pytest.mark.parametrize(("anchor", "cycles"), [("last_time_point", 3), ("last_cycle", 2)])
@@ -148,5 +148,6 @@ def test_where_flow_and_volume_do_not_agree_the_flow_is_the_datas(small_cases):
     still = np.repeat(small_cases.area_undeformed[:, None], 20, axis=1)
     same = np.repeat(small_cases.flow[:, :, :1], 21, axis=2)
     grid = {"time": small_cases.time, "z": small_cases.z, "period": 1.0}
+    grid["units"] = "cgs,area=cm^2"
     rigid = Cases(same, still, small_cases.pressure, small_cases.area_undeformed, **grid)
     assert balanced_flow(rigid, LITTLE) is rigid.flow
