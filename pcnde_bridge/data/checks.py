@@ -130,14 +130,11 @@ def check_plausible(
             variables = {name: arrays[name][case] for name in FIELDS if name in arrays}
             check_vessel(variables, z, time, flip)
     sizes = sizes_of(**arrays)
-    settled = not all(np.isnan(sizes[name]).all() for name in BALANCES)
     if not strict:
         sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
         stated = {"shape": "area", **stated}
     try:
-        check_units(
-            sizes, stated, unique=strict and bool(arrays["flow"].any()), only_shapes=settled
-        )
+        check_units(sizes, stated, unique=strict and bool(arrays["flow"].any()))
     except InputError as error:
         if strict:
             raise

@@ -195,7 +195,6 @@ def check_units(
     stated: Mapping[str, str],
     *,
     unique: bool = False,
-    only_shapes: bool = False,
     start: bool = False,
     shapes: Collection[str] = tuple(SHAPES),
 ) -> None:
@@ -210,8 +209,6 @@ def check_units(
         system of units does not state whether areas are areas, radii or diameters.
     unique : bool
         Raise also if the numbers are usual in other units as well.
-    only_shapes : bool
-        Of these, count radii and diameters only.
     start : bool
         Whether the recording may begin at rest: numbers that
         :mod:`pcnde_bridge.data.single_vessel` may explain count only if other units do, too.
@@ -249,8 +246,6 @@ def check_units(
     if not (doubts or explained or unique):
         return
     others = _readings(sizes, compared, stated, ["area"] if "shape" in stated else shapes)
-    if only_shapes and not doubts:
-        others = [units for units in others if not units.keys() - SHAPES.keys()]
     if others or (doubts and not by_system):
         raise _units_error([*doubts, *explained] if others else doubts, others, open_, by_system)
 
