@@ -15,6 +15,7 @@ import numpy as np
 
 from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils.files import atomic_write, check_members, reading
+from pcnde_bridge._utils.hdf5 import release
 from pcnde_bridge.errors import FileError
 
 _HEADER, _NAMES = "header", "arrays"
@@ -209,6 +210,7 @@ def sha256_arrays(arrays: Mapping[str, AnyArray]) -> str:
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
         digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
         digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
+        release(array)
     return digest.hexdigest()
 
 

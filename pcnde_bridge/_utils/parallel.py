@@ -49,14 +49,14 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-class _Processes(NamedTuple):
+class Processes(NamedTuple):
     """Processes of :func:`processes`, one pool each: one that dies interrupts only its task."""
 
     workers: int
     pool: Callable[[], Any]
 
 
-Workers = Executor | _Processes | int
+Workers = Executor | Processes | int
 """An executor, a number of processes on this machine, or the result of :func:`processes`."""
 
 
@@ -110,7 +110,7 @@ class Outcome:
         return f"{len(self.failures)} of {total} tasks failed ({reasons})."
 
 
-def processes(workers: int) -> _Processes:
+def processes(workers: int) -> Processes:
     """Return processes on this machine, each of which is replaced when it dies.
 
     Parameters
@@ -130,7 +130,7 @@ def processes(workers: int) -> _Processes:
     # JAX cannot store functions with diffrax's checks of its arguments.
     settings = {"NPROC": "1", "EQX_ON_ERROR": "off"}
     pool = partial(loky.ProcessPoolExecutor, 1, env=settings, initializer=_watch_parent)
-    return _Processes(workers, partial(pool, initargs=(os.getpid(),)))
+    return Processes(workers, partial(pool, initargs=(os.getpid(),)))
 
 
 def _watch_parent(parent: int) -> None:
@@ -266,11 +266,11 @@ def _words(error: BaseException) -> str:
 def _finished(
     function: Callable[[Any], Any],
     tasks: Mapping[str, Any],
-    executor: Executor | _Processes | None,
+    executor: Executor | Processes | None,
     retries: int,
 ) -> Generator[tuple[str, Any, str | None], None, None]:
     """Yield name, result and reason of failure of each task when they are known."""
-    create = executor.pool if isinstance(executor, _Processes) else None
+    create = executor.pool if isinstance(executor, Processes) else None
     free = _pools(executor, len(tasks))
     waiting, failed = deque(tasks), Counter[str]()
     running: dict[Future[Any], tuple[str, Executor | None]] = {}
@@ -303,9 +303,9 @@ def _finished(
                 pool.shutdown(kill_workers=True)
 
 
-def _pools(executor: Executor | _Processes | None, most: int) -> list[Executor | None]:
+def _pools(executor: Executor | Processes | None, most: int) -> list[Executor | None]:
     """Return one entry for each task that may run at the same time: its pool, or None."""
-    if isinstance(executor, _Processes):
+    if isinstance(executor, Processes):
         return [executor.pool() for _ in range(min(executor.workers, most))]
     # Pools know their size; dask has none, and its scheduler has a queue of its own.
     return [executor] * (getattr(executor, "_max_workers", most) if executor else 1)

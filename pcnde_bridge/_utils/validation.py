@@ -120,6 +120,8 @@ def _in(unit: str) -> str:
 def real_array(name: str, value: npt.ArrayLike) -> Array:
     """Return a C-contiguous float64 copy of an array of real numbers.
 
+    A read-only memory map of such numbers is returned itself: it stays on disk.
+
     Raises
     ------
     InputError
@@ -144,7 +146,8 @@ def real_array(name: str, value: npt.ArrayLike) -> Array:
         )
     if np.ma.is_masked(value):
         raise InputError(f"{name} has masked values; fill them or leave out their cases")
-    return np.array(array, dtype=np.float64, order="C", copy=True)
+    on_disk = isinstance(value, np.memmap) and not array.flags.writeable
+    return np.array(value, dtype=np.float64, order="C", copy=not on_disk or None, subok=on_disk)
 
 
 def check_values(
@@ -171,21 +174,23 @@ def check_values(
     if not wrong.any():
         return
     first = tuple(int(i) for i in np.argwhere(wrong)[0])
-    place = f"[{', '.join(str(i + offset) for i in first)}]" if first else ""
+    place = f"[{', '.join(map(str, (first[0] + offset, *first[1:])))}]" if first else ""
     total = int(np.count_nonzero(wrong))
     more = "" if total == 1 else f"; {total} values of {name} are wrong in this way"
     raise InputError(f"{name}{place} is {array[first]}: {rule}{more}")
 
 
-def check_finite(name: str, array: AnyArray) -> None:
+def check_finite(name: str, array: AnyArray, offset: int = 0) -> None:
     """Raise if an array has values that are not finite; report the first one.
+
+    The offset is that of :func:`check_values`.
 
     Raises
     ------
     InputError
         If any value is NaN or infinite.
     """
-    check_values(name, array, ~np.isfinite(array), "all values must be finite")
+    check_values(name, array, ~np.isfinite(array), "all values must be finite", offset)
 
 
 def finite_array(name: str, value: npt.ArrayLike) -> Array:

@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike
 from pcnde_bridge._typing import AnyArray, Array, StrPath
 from pcnde_bridge._utils.archive import sha256_arrays, with_prefix
 from pcnde_bridge._utils.display import draw
+from pcnde_bridge._utils.hdf5 import release
 from pcnde_bridge._utils.validation import counted
 from pcnde_bridge.data.checks import check_arrays, check_plausible, check_time
-from pcnde_bridge.data.files import read_cases, write_cases
+from pcnde_bridge.data.files import read_cases, write_cases, write_fingerprint
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.indices import VesselQuantities
-from pcnde_bridge.data.labels import check_labels
-from pcnde_bridge.data.selection import Positions, select_positions
+from pcnde_bridge.data.labels import LABELS, check_labels, label_arrays
+from pcnde_bridge.data.selection import Positions, batches_of, select_positions
 from pcnde_bridge.data.splits import fold_positions, split_positions
 from pcnde_bridge.data.units import QUANTITIES, in_cgs, stated_units
 from pcnde_bridge.data.variables import UNITS
@@ -27,8 +28,6 @@ from pcnde_bridge.errors import FileError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_LABELS = "labels/"  # prefix of the labels' names among the arrays
 
 
 class Split(NamedTuple):
@@ -43,7 +42,8 @@ class Cases(VesselQuantities):
     """Flow, area and pressure along a vessel over one cycle, for many cases.
 
     A case is one geometry with one inflow waveform.  The object is immutable: its arrays
-    are read-only, C-contiguous float64 copies of the arguments.  The pressure drop, the
+    are read-only, C-contiguous float64 copies of the arguments.  Read-only memory maps are
+    not copied: they stay on disk, and :meth:`batches` reads them part by part.  The drop, the
     fractional flow reserve and other quantities are methods of
     :class:`~pcnde_bridge.data.indices.VesselQuantities`.
 
@@ -165,8 +165,17 @@ class Cases(VesselQuantities):
 
     @property
     def inflow(self) -> Array:
-        """Flow rate at the inlet (mL/s), shape (n_cases, n_times); a read-only view."""
-        return self.flow[:, :, 0]
+        """Flow rate at the inlet (mL/s), shape (n_cases, n_times); read-only."""
+        return self.at_point("flow", 0)
+
+    def at_point(self, name: str, point: int) -> Array:
+        """Return a variable at a point of z, by its index, shape (n_cases, n_times); read-only."""
+        values: Array = getattr(self, name)[:, :, point]
+        if isinstance(values, np.memmap):
+            values = np.array(values)
+            values.setflags(write=False)
+            release(getattr(self, name))
+        return values
 
     def _facts(self) -> list[str]:
         names = "geometry", "waveform"
@@ -204,12 +213,7 @@ class Cases(VesselQuantities):
         """Return the whole content as arrays; labels are named ``labels/<column>``."""
         contents = {name: v for name in UNITS if (v := getattr(self, name)) is not None}
         contents["period"] = np.array(self.period)
-        for column in self._labels.columns:
-            values = self._labels[column].to_numpy()
-            if values.dtype.kind not in "biuf":
-                values = np.array(values.tolist(), dtype=np.str_)
-            contents[f"{_LABELS}{column}"] = values
-        return contents
+        return contents | label_arrays(self._labels)
 
     # ---- subsets -------------------------------------------------------
 
@@ -240,10 +244,14 @@ class Cases(VesselQuantities):
         return self._take(select_positions(self._labels, index, labels))
 
     def _take(self, positions: Positions) -> Cases:
-        """Return the cases at valid positions."""
+        """Return the cases at valid positions; a range of memory maps stays on disk."""
+        if len(positions) and np.array_equal(positions, np.arange(len(positions)) + positions[0]):
+            rows: Any = slice(int(positions[0]), int(positions[-1]) + 1)
+        else:
+            rows = positions
         taken = object.__new__(Cases)
         arrays = {**self.variables(), "area_undeformed": self.area_undeformed}
-        state = self.__dict__ | {name: values[positions] for name, values in arrays.items()}
+        state = self.__dict__ | {name: values[rows] for name, values in arrays.items()}
         state["_labels"] = self._labels.iloc[positions].reset_index(drop=True)
         taken.__setstate__(state)
         return taken
@@ -255,6 +263,20 @@ class Cases(VesselQuantities):
     def __iter__(self) -> Iterator[Cases]:
         """Iterate over the cases, each a data set of one case."""
         return map(self.select, range(self.n_cases))
+
+    def batches(self, most: int = 64) -> Iterator[tuple[slice, Cases]]:
+        """Iterate over ranges of the cases, of nearly equal size, and the cases in each.
+
+        Of a data set that stays on disk, no more than one range is in memory.
+
+        Parameters
+        ----------
+        most : int
+            Largest number of cases in a range.
+        """
+        for rows in batches_of(self.n_cases, most):
+            yield rows, self[rows]
+            release(*self.variables().values())
 
     def split(
         self,
@@ -356,7 +378,8 @@ class Cases(VesselQuantities):
         Returns
         -------
         Cases
-            Equal to the one that was saved.
+            Equal to the one that was saved.  Arrays of an HDF5 file that have 128 MB or more stay
+            on disk: do not change the file meanwhile.
 
         Raises
         ------
@@ -366,12 +389,28 @@ class Cases(VesselQuantities):
             If the file is truncated, damaged, foreign, or of a newer version.
         """
         contents = read_cases(path)
-        arrays: dict[str, Any] = {name: contents[name] for name in UNITS if name in contents}
-        try:
-            period, labels = contents["period"].item(), with_prefix(_LABELS, contents)
-            cases = cls(**arrays, period=period, labels=labels, check=False)
-        except ValueError as error:
-            raise FileError(f"{path} holds data that are not usable: {error}") from error
+        cases = _from_contents(path, contents)
         if cases.fingerprint() != str(contents["fingerprint"]):
             raise FileError(f"{path} was changed after it was saved; save or copy it again")
         return cases
+
+
+def _from_contents(path: StrPath, contents: Mapping[str, AnyArray]) -> Cases:
+    """Return the data set whose file has these arrays."""
+    arrays: dict[str, Any] = {name: contents[name] for name in UNITS if name in contents}
+    try:
+        period, labels = contents["period"].item(), with_prefix(LABELS, contents)
+        return Cases(**arrays, period=period, labels=labels, check=False)
+    except ValueError as error:
+        raise FileError(f"{path} holds data that are not usable: {error}") from error
+
+
+def sign_cases(path: StrPath) -> None:
+    """Complete a file of :func:`~pcnde_bridge.data.files.create_cases` by its fingerprint.
+
+    Raises
+    ------
+    FileError
+        If its arrays are not those of a data set.
+    """
+    write_fingerprint(path, _from_contents(path, read_cases(path)).fingerprint())

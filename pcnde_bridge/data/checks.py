@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcnde_bridge._typing import Array
+from pcnde_bridge._utils.hdf5 import release
 from pcnde_bridge._utils.validation import (
     check_finite,
     check_increasing,
@@ -18,9 +19,12 @@ from pcnde_bridge._utils.validation import (
     real_array,
 )
 from pcnde_bridge.data.plausibility import BALANCES, check_units, sizes_of
+from pcnde_bridge.data.selection import batches_of
 from pcnde_bridge.data.single_vessel import check_vessel
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
+
+_AT_ONCE = 256  # cases whose values are in memory while data on disk are checked
 
 
 class UnitsWarning(PCNDEWarning):
@@ -38,9 +42,12 @@ def check_arrays(given: Mapping[str, ArrayLike]) -> dict[str, Array]:
     arrays = {name: real_array(name, value) for name, value in given.items()}
     _check_shapes(arrays)
     for name, array in arrays.items():
-        check_finite(name, array)
-    for name in ("area", "area_undeformed"):
-        check_values(name, arrays[name], arrays[name] <= 0, "areas must be positive (cm²)")
+        for rows in batches_of(len(array), _AT_ONCE):
+            part = array[rows]
+            check_finite(name, part, rows.start)
+            if name in ("area", "area_undeformed"):
+                check_values(name, part, part <= 0, "areas must be positive (cm²)", rows.start)
+            release(array)
     check_increasing("z", arrays["z"], "cm")
     return arrays
 
@@ -129,7 +136,12 @@ def check_plausible(
         with naming(f"case {case}"):
             variables = {name: arrays[name][case] for name in FIELDS if name in arrays}
             check_vessel(variables, z, time, flip)
-    sizes = sizes_of(**arrays)
+    parts = []
+    for rows in batches_of(len(arrays["flow"]), _AT_ONCE):
+        part = {name: a if name in ("time", "z") else a[rows] for name, a in arrays.items()}
+        parts.append(sizes_of(**part))
+        release(*arrays.values())
+    sizes = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if not strict:
         sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
         stated = {"shape": "area", **stated}

@@ -9,7 +9,7 @@ import numpy as np
 from pcnde_bridge._typing import AnyArray, StrPath
 from pcnde_bridge._utils.archive import check_format, stated_facts
 from pcnde_bridge._utils.files import Budget, atomic_write, check_members, reading
-from pcnde_bridge._utils.hdf5 import read_dataset
+from pcnde_bridge._utils.hdf5 import create_dataset, read_dataset
 from pcnde_bridge._utils.validation import listed
 from pcnde_bridge.data.variables import FIELDS, UNITS, VARIABLES
 from pcnde_bridge.errors import FileError
@@ -29,14 +29,31 @@ def write_cases(path: StrPath, contents: Mapping[str, AnyArray], fingerprint: st
         If the ending of the name is unknown or the file cannot be written.
     """
     suffix = _suffix(path)
-    header: dict[str, Any] = {"format": FORMAT, "format_version": FORMAT_VERSION}
-    header["fingerprint"] = fingerprint
+    header = _header(fingerprint)
     with atomic_write(path) as temporary:
         if suffix == ".npz":
             arrays: dict[str, Any] = {**header, **contents}
             np.savez(temporary, **arrays)
         else:
             _write_h5(temporary, header, contents)
+
+
+def create_cases(path: StrPath, contents: Mapping[str, AnyArray | tuple[int, ...]]) -> None:
+    """Create an HDF5 file of a data set whose arrays are written later.
+
+    A shape in place of an array is that of a data set that
+    :func:`pcnde_bridge._utils.hdf5.create_dataset` creates.  The fingerprint is empty: the file
+    cannot be loaded before :func:`pcnde_bridge.data.cases.sign_cases`.
+    """
+    _write_h5(Path(path), _header("-" * 64), contents)
+
+
+def write_fingerprint(path: StrPath, fingerprint: str) -> None:
+    """Write the fingerprint into a file of :func:`create_cases`."""
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        file.attrs["fingerprint"] = np.bytes_(fingerprint)
 
 
 def read_cases(path: StrPath) -> dict[str, AnyArray]:
@@ -59,6 +76,10 @@ def read_cases(path: StrPath) -> dict[str, AnyArray]:
     if absent:
         raise FileError(f"{path} is incomplete: it lacks {listed(absent)}; save it again")
     return contents
+
+
+def _header(fingerprint: str) -> dict[str, Any]:
+    return {"format": FORMAT, "format_version": FORMAT_VERSION, "fingerprint": fingerprint}
 
 
 def _check_header(path: Path, header: Mapping[str, Any]) -> None:
@@ -86,7 +107,9 @@ def _read_npz(path: Path) -> dict[str, AnyArray]:
 
 
 def _write_h5(
-    path: Path, header: Mapping[str, str | int], contents: Mapping[str, AnyArray]
+    path: Path,
+    header: Mapping[str, str | int],
+    contents: Mapping[str, AnyArray | tuple[int, ...]],
 ) -> None:
     import h5py
 
@@ -97,7 +120,10 @@ def _write_h5(
             file.attrs[name] = np.bytes_(value) if isinstance(value, str) else value
         file.create_group("labels", track_order=True)
         for name, values in contents.items():
-            file[name] = _h5_text(values) if values.dtype.kind == "U" else values
+            if isinstance(values, tuple):
+                create_dataset(file, name, values)
+            else:
+                file[name] = _h5_text(values) if values.dtype.kind == "U" else values
         axes = {**dict.fromkeys(FIELDS, "case, time, z"), "area_undeformed": "case, z"}
         for key, texts in (("units", {**UNITS, "period": "s"}), ("axes", axes)):
             for name in texts.keys() & contents.keys():

@@ -14,6 +14,9 @@ from pcnde_bridge._utils.validation import check_values, counted
 from pcnde_bridge.data.variables import UNITS
 from pcnde_bridge.errors import InputError
 
+LABELS = "labels/"
+"""Prefix of the labels' names among the arrays of a data set."""
+
 _RESERVED = frozenset((*UNITS, "novelty"))  # columns of a prediction's table
 _SURROGATE = re.compile("[\ud800-\udfff]")  # half of a pair, which is no text
 
@@ -56,6 +59,17 @@ def check_labels(
         found = f"geometry {geometry}, waveform {waveform} twice, in rows {first} and {again}"
         raise InputError(f"labels has {found}; give each case its own pair")
     return table
+
+
+def label_arrays(labels: pd.DataFrame) -> dict[str, AnyArray]:
+    """Return labels as arrays of numbers or text, named ``labels/<column>``."""
+    found = {}
+    for name, column in labels.items():
+        values = column.to_numpy()
+        if values.dtype.kind not in "biuf":
+            values = np.array(values.tolist(), dtype=np.str_)
+        found[f"{LABELS}{name}"] = values
+    return found
 
 
 def _check_table(given: pd.DataFrame, n_cases: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from numbers import Real
 from typing import Any
 
@@ -56,6 +57,12 @@ def some_of(positions: Positions, most: int) -> Positions:
     if len(positions) <= most:
         return positions
     return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
+
+
+def batches_of(count: int, most: int = 64) -> list[slice]:
+    """Divide a number of cases into as few ranges of nearly equal size as their size allows."""
+    ends = np.linspace(0, count, -(-count // most) + 1).astype(int)
+    return [slice(int(start), int(end)) for start, end in pairwise(ends)]
 
 
 def _from_index(labels: pd.DataFrame, index: Any) -> Positions:

@@ -25,6 +25,10 @@ class Buffers:
     def __init__(self) -> None:
         self._free: deque[Array] = deque(maxlen=_BLOCKS)
 
+    def __reduce__(self) -> tuple[type, tuple[()]]:
+        """Pickle without the memory."""
+        return Buffers, ()
+
     def empty(self, shape: tuple[int, ...]) -> Array:
         """Return an array of this shape whose values are undefined.
 

@@ -12,6 +12,7 @@ import pandas as pd
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.archive import with_prefix
 from pcnde_bridge._utils.validation import counted, whole
+from pcnde_bridge._utils.workers import started_workers
 from pcnde_bridge.config import (
     PUBLISHED_CODE,
     ClosureConfig,
@@ -100,6 +101,7 @@ class PCNDE(Predictor):
         checkpoint: StrPath | None = None,
         progress: bool | Callable[[Iteration], None] = True,
         outlet: Outlet | None = None,
+        executor: Any = None,
     ) -> PCNDE:
         """Train on averaged 3D simulations, as in section 2.4 of the paper.
 
@@ -128,6 +130,10 @@ class PCNDE(Predictor):
             Outlet of the cases, such as :class:`~pcnde_bridge.hemodynamics.Windkessel`, with
             one value or one for each case (preset ``physics``).  By default a resistance or a
             Windkessel is fitted.
+        executor : int or distributed.Client, optional
+            Number of processes, or client of a dask cluster, among whose workers the cases are
+            divided (preset ``physics`` and engine ``jax``).  Each holds its part, and returns
+            sums over it.
 
         Returns
         -------
@@ -162,7 +168,10 @@ class PCNDE(Predictor):
         if outlet is not None:
             kind.check_outlet(outlet)
             procedure.outlet = outlet
-        state = Trainer(procedure, checkpoint).fit(seed, progress)
+        if executor is not None and not (kind.any_grid and engine.name == "jax"):
+            raise InputError("executor= needs the preset 'physics' and the engine 'jax'.")
+        with started_workers(executor) as procedure.workers:
+            state = Trainer(procedure, checkpoint).fit(seed, progress)
         facts = provenance(cases, engine, seed) | state.facts
         novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.grid, procedure.left_out)
         fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history

@@ -5,19 +5,16 @@ parameters with bounds, else that of Levenberg and Marquardt.  Engines that agre
 same parameters.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 
-from pcnde_bridge._typing import Array, ComplexArray
+from pcnde_bridge._typing import Array
 from pcnde_bridge.config import ClosureConfig
 from pcnde_bridge.config.settings import OutletClosure
 from pcnde_bridge.data.cases import Cases
-from pcnde_bridge.data.indices import values_at
 from pcnde_bridge.data.selection import Positions, some_of
-from pcnde_bridge.data.stenosis import measuring_positions
 from pcnde_bridge.engines.closure_parameters import (
     CORRECTION_SCALARS,
     WALL_SHEAR_STRESS,
@@ -26,24 +23,10 @@ from pcnde_bridge.engines.closure_parameters import (
 )
 from pcnde_bridge.engines.protocol import Closures
 from pcnde_bridge.engines.shared_terms import rate
-from pcnde_bridge.engines.types import Fit, ModelInputs, OnIteration, Problem
+from pcnde_bridge.engines.types import Fit, OnIteration, Problem
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.hemodynamics.outlet import windkessel_response
-
-_BLOCK = 64
-"""Largest number of cases whose values and Jacobian are in memory at once."""
-
-_VALUES = 400
-"""Number of cases times time points to which losses, wall and wall shear stress are fitted."""
-
-_FEWEST_TIMES, _MOST_TIMES = 4, 25
-"""Time points of a case: without memory, few are enough."""
-
-_DROP_WEIGHT = 10.0
-"""Weight of the drop across the stenosis, relative to the pressure at one point."""
-
-_FLOW_POINTS = 5
-"""Points, beside the inlet, on which the flow is compared: it is smooth along the vessel."""
+from pcnde_bridge.training.closure_parts import HeldCases, at_times, few_times, flow_rate
 
 _SHEAR_PENALTY = 1e-3
 """Penalty of a change of the wall shear stress's parameters, relative to the term's square."""
@@ -53,9 +36,6 @@ _SHEAR_CASES = 256
 
 _SIGN_CHANGES = 30
 """Largest number of fits of the wall shear stress, each with the signs of the fit before."""
-
-_GOLDEN_RATIO = (1 + 5**0.5) / 2
-"""Its multiples modulo 1 are spread evenly, whatever their number."""
 
 _LOSS_TOLERANCE = 1e-4
 """Relative decrease of the loss below which a fit ends."""
@@ -99,7 +79,7 @@ def fit_outlet(cases: Cases, config: ClosureConfig) -> Array:
 
     A resistance is found by linear regression.  A Windkessel is fitted starting from it.
     """
-    flow, pressure = cases.flow[:, :, -1], cases.pressure[:, :, -1]
+    flow, pressure = (cases.at_point(name, -1) for name in ("flow", "pressure"))
     given = config.outlet
     resistance, distal = given.resistance, given.distal_pressure
     if resistance is None and distal is None:
@@ -150,8 +130,7 @@ def _fit_windkessel(
 
 
 def fit_losses(
-    closures: Closures,
-    cases: Cases,
+    held: HeldCases,
     config: ClosureConfig,
     on_iteration: OnIteration | None = None,
     *,
@@ -161,7 +140,7 @@ def fit_losses(
 
     Parameters
     ----------
-    closures, cases, config, on_iteration
+    held, config, on_iteration
         See :func:`fit_correction`.
     again : tuple, optional
         For another fit: losses to start from, cases to leave out, largest number of evaluations.
@@ -172,50 +151,23 @@ def fit_losses(
     evaluations = config.correction.evaluations
     if again is not None:
         starts[:, 0], left_out, evaluations = again
-    weight = np.ones(len(cases))
+    weight = np.ones(held.square.size)
     weight[left_out] = 0
-    pressure, flow, flow_rate = _at_few_times(cases, cases.pressure, cases.flow, _flow_rate(cases))
-    target = pressure - pressure[..., -1:]
-    scale = float(np.linalg.norm(weight[:, None, None] * target))
-
-    def residual_of(part: Cases, rows: slice) -> Problem:
-        fields = flow[rows], flow_rate[rows]
-        problem = closures.losses(*fields, part.area_undeformed, part.grid, config)
-        along_vessel = _relative(problem, target[rows], scale)
-        # Weights of the points in the drop of each case.
-        points = np.broadcast_to(np.eye(part.n_points), (len(part), part.n_points, part.n_points))
-        proximal, distal = measuring_positions(part.z, part.area_undeformed)
-        drop = values_at(points, part.z, proximal) - values_at(points, part.z, distal)
-        used = weight[rows, None, None]
-
-        def residual(x: Array) -> tuple[Array, Array]:
-            error, jacobian = along_vessel(x)
-            error, jacobian = used * error, used[..., None] * jacobian
-            drop_error = _DROP_WEIGHT * np.einsum("ctz,cz->ct", error, drop)
-            drop_jacobian = _DROP_WEIGHT * np.einsum("ctzn,cz->ctn", jacobian, drop)
-            return (
-                np.concatenate([error.ravel(), drop_error.ravel()]),
-                np.concatenate([a.reshape(-1, x.size) for a in (jacobian, drop_jacobian)]),
-            )
-
-        return residual
-
     given = [getattr(config.losses, name) for name in _LOSSES]
-    problem = _in_blocks(cases, residual_of)
+    problem = held.problem(weight / np.sqrt(weight @ held.square))
     return _solve(problem, starts, given, evaluations, on_iteration)
 
 
 def fit_wall(
-    closures: Closures, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
+    held: HeldCases, cases: Cases, config: ClosureConfig, on_iteration: OnIteration | None = None
 ) -> Fit:
     """Fit the wall parameters to S, with the reference pressure."""
-    pressure, target = _at_few_times(cases, cases.pressure, cases.area)
-    scale = float(np.linalg.norm(target))
     # Stiffness and zero pressure start from a quarter of the length, where the vessel is wide.
-    point = cases.n_points // 4
+    point, times = cases.n_points // 4, few_times(len(cases), cases.n_times)
+    pressure, area = (at_times(cases.at_point(a, point), times) for a in ("pressure", "area"))
     radius = np.sqrt(cases.area_undeformed[:, None, point] / np.pi)
-    strain = np.sqrt(target[:, :, point] / np.pi) / radius - 1
-    slope, offset = np.polyfit(strain.ravel(), pressure[:, :, point].ravel(), 1)
+    strain = np.sqrt(area / np.pi) / radius - 1
+    slope, offset = np.polyfit(strain.ravel(), pressure.ravel(), 1)
     stiffness = max(float(slope), float(np.ptp(pressure)) * 1e-3)
     zero = float(offset) if abs(offset) > 0.2 * float(np.abs(pressure).max()) else 0.0
     membrane = config.wall.law == "membrane"
@@ -226,14 +178,9 @@ def fit_wall(
         **(_MEMBRANE if membrane else _TUBE_LAW),
         "zero_pressure": (zero, *_UNBOUNDED),
     }
-
-    def residual_of(part: Cases, rows: slice) -> Problem:
-        problem = closures.area(pressure[rows], part.area_undeformed, part.grid, config)
-        return _relative(problem, target[rows], scale)
-
     given = [getattr(config.wall, name) for name in parameters]
     evaluations = config.correction.evaluations
-    problem = _in_blocks(cases, residual_of)
+    problem = held.problem(np.full(len(cases), held.square.sum() ** -0.5))
     return _solve(problem, list(parameters.values()), given, evaluations, on_iteration)
 
 
@@ -253,12 +200,11 @@ def fit_wall_shear_stress(
     part = cases[rows]
     if part.wall_shear_stress is None:
         return start
-    flow, flow_rate, stress = _at_few_times(
-        part, part.flow, _flow_rate(part), part.wall_shear_stress
-    )
+    times, fields = few_times(len(part), part.n_times), (part.flow, flow_rate(part))
+    flow, slope, stress = (at_times(a, times) for a in (*fields, part.wall_shear_stress))
     others = others.replace(wall_shear_stress=start)
     problem = closures.wall_shear_stress(
-        others, flow, flow_rate, part.area_undeformed, part.grid, config
+        others, flow, slope, part.area_undeformed, part.grid, config
     )
     parts = *problem(start), np.abs(stress)
     used = ~np.isin(rows, left_out)
@@ -289,20 +235,21 @@ def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generat
     1 − (Q_in − Q(L))/(κ ∂V/∂t), where the storage is more than half its largest; κ is the
     median of (Q_in − Q(L))/(∂V/∂t) where the storage is more than a tenth of its largest.
     """
-    volume = np.trapezoid(cases.area, cases.z)
+    volume = np.concatenate([np.trapezoid(part.area, part.z) for _, part in cases.batches()])
     stored = rate(volume, cases.period)
-    lost = cases.inflow - cases.flow[:, :, -1]
+    outflow = cases.at_point("flow", -1)
+    lost = cases.inflow - outflow
     clear = np.abs(stored) > 0.1 * np.abs(stored).max()
     seen = float(np.median(lost[clear] / stored[clear]))
     kappa = config.correction.storage or max(seen, _SMALLEST_STORAGE)
     strong = stored > 0.5 * stored.max()
     ceiling = np.quantile(1 - lost[strong] / (kappa * stored[strong]), _SHARE_QUANTILE)
-    slope = rate(cases.pressure[:, :, -1], cases.period)
+    slope = rate(cases.at_point("pressure", -1), cases.period)
     scalars = [
         kappa,
         float(np.clip(ceiling, *_CEILINGS)),
         float(np.std(slope)) or 1.0,
-        float(np.abs(cases.flow[:, :, -1]).mean()) or 1.0,
+        float(np.abs(outflow).mean()) or 1.0,
     ]
     weights = rng.normal(size=sizes(config)["correction"] - CORRECTION_SCALARS) * 0.5
     # The last bias switches the correction off where the data do not need it.
@@ -311,26 +258,24 @@ def first_correction(cases: Cases, config: ClosureConfig, rng: np.random.Generat
 
 
 def fit_correction(
-    closures: Closures,
+    held: HeldCases,
     others: ClosureParameters,
-    cases: Cases,
     config: ClosureConfig,
     first: Array,
     weight: Array,
     evaluations: int,
-    outlet: ComplexArray | None = None,
     on_iteration: OnIteration | None = None,
 ) -> Fit:
     """Fit κ and the network to the flow, with all closures coupled.
 
     Parameters
     ----------
-    closures : Closures
-        Engine of the closures.
+    held : HeldCases
+        Result of :func:`~pcnde_bridge.training.closure_parts.hold_cases`.
     others : ClosureParameters
         Outlet, losses and wall.
-    cases, config
-        Training cases and settings.
+    config : ClosureConfig
+        Settings.
     first : array of shape (n,)
         Correction to start from; its ceiling and scales stay.
     weight : array of shape (case,)
@@ -338,27 +283,10 @@ def fit_correction(
         compiled once.
     evaluations : int
         Largest number of evaluations.
-    outlet : array of shape (case, 2, harmonic), optional
-        Outlet of all cases, see :meth:`~pcnde_bridge.engines.protocol.Closures.flow`.
     on_iteration : callable, optional
         Called with the number and loss of each evaluation that decreases the loss.
     """
     settings = config.correction
-    points = np.unique(np.linspace(0, cases.n_points - 1, _FLOW_POINTS + 1).astype(int)[1:])
-    target = cases.flow[:, :, points]
-    factor = 100 * weight[:, None, None] / np.linalg.norm(weight[:, None, None] * target)
-
-    def residual_of(part: Cases, rows: slice) -> Problem:
-        inputs = ModelInputs(part.inflow, part.area_undeformed, part.grid)
-        at_end = None if outlet is None else outlet[rows]
-        problem = closures.flow(others, inputs, points, config, at_end)
-
-        def residual(x: Array) -> tuple[Array, Array]:
-            value, jacobian = problem(x)
-            return factor[rows] * (value - target[rows]), factor[rows, ..., None] * jacobian
-
-        return residual
-
     # The weights decay towards a correction that is off.
     n_weights, decay = first.size - CORRECTION_SCALARS, np.sqrt(settings.weight_decay)
     prior = decay * np.eye(n_weights, first.size, CORRECTION_SCALARS)
@@ -370,66 +298,9 @@ def fit_correction(
 
     starts = [(start, *_UNBOUNDED) for start in first]
     given = [settings.storage, *first[1:CORRECTION_SCALARS], *[None] * n_weights]
-    problem = _in_blocks(cases, residual_of, penalty)
+    scaled = 100 * weight / np.sqrt(weight @ held.square)
+    problem = held.problem(scaled, others, penalty)
     return _solve(problem, starts, given, evaluations, on_iteration)
-
-
-def _at_few_times(cases: Cases, *fields: Array) -> list[Array]:
-    """Return fields (case, time, z) at the time points of each case that a fit uses.
-
-    The points are equally spaced, and start at another phase in each case: together the cases
-    show all phases of the cycle.
-    """
-    most = min(_MOST_TIMES, cases.n_times)
-    count = int(np.clip(_VALUES // len(cases), min(_FEWEST_TIMES, most), most))
-    phase = np.arange(len(cases)) * _GOLDEN_RATIO % 1
-    times = (np.arange(count) + phase[:, None]) * (cases.n_times / count)
-    chosen = times.astype(int)[..., None]
-    return [np.take_along_axis(field, chosen, axis=1) for field in fields]
-
-
-def _flow_rate(cases: Cases) -> Array:
-    """Return ∂Q/∂t, mL/s², of shape (case, time, z)."""
-    return np.moveaxis(rate(np.moveaxis(cases.flow, 1, -1), cases.period), -1, 1)
-
-
-def _relative(problem: Problem, target: Array, scale: float) -> Problem:
-    """Return the problem of the error against the target, relative to a scale."""
-
-    def residual(x: Array) -> tuple[Array, Array]:
-        value, jacobian = problem(x)
-        return (value - target) / scale, jacobian / scale
-
-    return residual
-
-
-def _blocks(cases: Cases) -> list[slice]:
-    """Divide the cases into as few blocks of nearly equal size as memory allows."""
-    count = -(-len(cases) // _BLOCK)
-    return [slice(a, b) for a, b in pairwise(np.linspace(0, len(cases), count + 1).astype(int))]
-
-
-def _in_blocks(
-    cases: Cases, residual_of: Callable[[Cases, slice], Problem], *others: Problem
-) -> Problem:
-    """Return a small problem with the sum of squares of all cases and of other terms.
-
-    For residuals r and their Jacobian J, the triangle R of the QR decomposition [J r] = Q·R
-    has the same products: its columns take the place of J and r, and no more than one block's
-    are in memory.  Triangles of blocks, one above the other, are decomposed once more.
-    """
-    parts = [residual_of(cases[rows], rows) for rows in _blocks(cases)]
-
-    def triangle(error: Array, jacobian: Array) -> Array:
-        columns = jacobian.reshape(error.size, -1), error.reshape(-1, 1)
-        return np.asarray(np.linalg.qr(np.concatenate(columns, axis=1), mode="r"))
-
-    def residual(x: Array) -> tuple[Array, Array]:
-        stacked = np.concatenate([triangle(*problem(x)) for problem in (*parts, *others)])
-        total = np.asarray(np.linalg.qr(stacked, mode="r"))
-        return total[:, -1], total[:, :-1]
-
-    return residual
 
 
 def _solve(

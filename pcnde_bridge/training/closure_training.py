@@ -24,13 +24,14 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.training import closure_fit
+from pcnde_bridge.training.closure_parts import HeldCases, hold_cases
 from pcnde_bridge.training.history import Recorder
 from pcnde_bridge.training.procedure import Procedure, RunState, Step
 from pcnde_bridge.uncertainty.sampling import SampledModel, calibrate
 
 _CLAMPED = 0.01  # largest variation of the ends' area, relative to the middle's
-_TESTED = 64  # most cases of a fold on which the uncertainty is calibrated: for 90 % quantiles
-_RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest area
+_TESTED = 32  # most cases of a fold on which the uncertainty is calibrated: for 90 % quantiles
+_RIGID = 1e-9  # largest variation of a rigid vessel's area, relative to the largest S_u
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +83,7 @@ class ClosureTraining(Procedure[ClosureState]):
         self.config = _with_spacing(cases, _with_wall_law(cases, config))
         folds = config.correction.folds
         self.left_out = neighboring_folds(cases, folds) if folds else []
+        self._parts: dict[str, HeldCases] = {}
 
     def start(self, seed: int) -> ClosureState:
         """Return the state without any closure."""
@@ -115,23 +117,22 @@ class ClosureTraining(Procedure[ClosureState]):
         SolveError
             If the equations cannot be evaluated.
         """
-        cases, config, closures = self.cases, self.config, self.engine.closures
-        name, weight = step.task, np.ones(len(cases))
+        cases, config = self.cases, self.config
+        name, weight, member = step.task, np.ones(len(cases)), step.epoch - 2
         if name == "outlet":
-            fitted = self.outlet is None
-            vector = closure_fit.fit_outlet(cases, config) if fitted else np.zeros(4)
+            vector = np.zeros(4) if self.outlet else closure_fit.fit_outlet(cases, config)
             return _with(state, name, vector)
         if name == "wall_shear_stress":
             return _with(state, name, self._wall_shear_stress(state.parameters, np.empty(0, int)))
-        member = step.epoch - 2
-        if name == "losses" and member >= 0:
-            again = state.vectors[name], self.left_out[member], self._few
-            optimize = partial(closure_fit.fit_losses, closures, cases, config, again=again)
-            return _with(state, f"losses_{member}", recorder.run(name, step.epoch, 1, optimize))
-        if name != "correction":
-            fit_closure = {"losses": closure_fit.fit_losses, "wall": closure_fit.fit_wall}[name]
-            optimize = partial(fit_closure, closures, cases, config)
+        held = self._held(name, state)
+        if name == "wall":
+            optimize = partial(closure_fit.fit_wall, held, cases, config)
             return _with(state, name, recorder.run(name, 1, 1, optimize))
+        if name == "losses":
+            again = None if member < 0 else (state.vectors[name], self.left_out[member], self._few)
+            optimize = partial(closure_fit.fit_losses, held, config, again=again)
+            fitted = recorder.run(name, step.epoch, 1, optimize)
+            return _with(state, name if member < 0 else f"losses_{member}", fitted)
         others = state.parameters
         if member < 0:
             rng = np.random.default_rng([state.seed, 0])
@@ -143,12 +144,21 @@ class ClosureTraining(Procedure[ClosureState]):
             others = others.replace(losses=state.vectors[f"losses_{member}"])
             shear = self._wall_shear_stress(others, self.left_out[member])
             others = others.replace(wall_shear_stress=shear)
-        given = others, cases, config, first, weight, evaluations, self._response(others)
-        optimize = partial(closure_fit.fit_correction, closures, *given)
+        fit = others, config, first, weight, evaluations
+        optimize = partial(closure_fit.fit_correction, held, *fit)
         correction = recorder.run("correction", step.epoch, 1, optimize)
         if member < 0:
             return _with(state, name, correction)
         return _with(state, f"member_{member}", others.replace(correction=correction).refitted)
+
+    def _held(self, name: str, state: ClosureState) -> HeldCases:
+        """Return the parts of the cases for a closure; those of the ensemble's fits are kept."""
+        if name not in self._parts:
+            outlet = self._response(state.parameters) if name == "correction" else None
+            given = self.engine.closures, self.cases, self.config, self.workers, outlet
+            self._parts = {k: v for k, v in self._parts.items() if k != "wall"}
+            self._parts[name] = hold_cases(name, *given)
+        return self._parts[name]
 
     def finish(self, state: ClosureState) -> ClosureState:
         """Calibrate the uncertainty on the folds that were left out."""
@@ -203,9 +213,10 @@ def _with(state: ClosureState, name: str, vector: AnyArray) -> ClosureState:
 
 def _check(cases: Cases) -> None:
     check_resolution(cases.n_times, cases.n_points)
-    if float(np.std(cases.flow[:, :, -1])) == 0 or float(np.ptp(cases.pressure)) == 0:
+    pressure = [(part.pressure.min(), part.pressure.max()) for _, part in cases.batches()]
+    if float(np.std(cases.at_point("flow", -1))) == 0 or float(np.ptp(pressure)) == 0:
         raise InputError("The training cases' flow and pressure do not vary: nothing to learn.")
-    if float(np.ptp(cases.area, axis=1).max()) <= _RIGID * float(cases.area.max()):
+    if float(_variation(cases).max()) <= _RIGID * float(cases.area_undeformed.max()):
         raise InputError(
             "The training cases' area does not change in time: their inflow is steady or "
             "their walls are rigid. The physics preset learns from compliant walls in "
@@ -213,11 +224,16 @@ def _check(cases: Cases) -> None:
         )
 
 
+def _variation(cases: Cases) -> Array:
+    """Return the variation of the area in time, cm², (case, z)."""
+    return np.concatenate([np.ptp(part.area, axis=1) for _, part in cases.batches()])
+
+
 def _with_wall_law(cases: Cases, config: ClosureConfig) -> ClosureConfig:
     """Choose the wall law by whether the ends of the training cases move."""
     if config.wall.law != "auto":
         return config
-    variation = np.ptp(cases.area, axis=1)
+    variation = _variation(cases)
     largest = variation.max(axis=1, keepdims=True)
     clamped = bool((variation[:, [0, -1]] <= _CLAMPED * largest).all())
     return config.replace(wall={"law": "membrane" if clamped else "local"})

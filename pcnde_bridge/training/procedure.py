@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from pcnde_bridge._typing import AnyArray
+from pcnde_bridge._utils.workers import Worker
 from pcnde_bridge.config import Config
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.selection import Positions
@@ -78,6 +79,8 @@ class Procedure(ABC, Generic[State]):
         Training cases, settings and compute engine.
     outlet : Outlet or None
         Outlet of the cases if it is given, not trained.
+    workers : sequence of Worker
+        Processes that hold parts of the cases; none for this process.
     left_out : sequence of arrays of int
         Positions of the cases that the fits for the uncertainty leave out, one after the other.
     """
@@ -87,6 +90,7 @@ class Procedure(ABC, Generic[State]):
     config: Config
     engine: Engine
     outlet: Outlet | None = None
+    workers: Sequence[Worker] = ()
     left_out: Sequence[Positions] = ()
 
     @abstractmethod

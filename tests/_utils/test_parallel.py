@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from pcnde_bridge import (
     SolveError,
     TaskError,
 )
+from pcnde_bridge._utils import workers as workers_module
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import (
     Outcome,
@@ -26,6 +28,7 @@ from pcnde_bridge._utils.parallel import (
     run,
 )
 from pcnde_bridge._utils.result_folder import remove_results
+from pcnde_bridge._utils.workers import Parts, started_workers
 
 
 def refuse(task):
@@ -236,6 +239,19 @@ def client():
 def test_dask_gives_the_same(client, serial):
     outcome = run(work, SEEDS, executor=client.get_executor(), progress=False)
     assert same(outcome.check(), serial)
+
+
+def test_dask_workers_hold_their_parts(client):
+    with started_workers(client) as workers:
+        held = Parts([partial(pow, 2), partial(pow, 3), partial(pow, 4)], workers)
+        assert held(2) == [4, 9, 16]
+        assert held(3) == [8, 27, 64]
+        assert sorted(client.run(_count).values()) == [1, 2]
+    assert sorted(client.run(_count).values()) == [0, 0]
+
+
+def _count():
+    return sum(map(len, workers_module._held.values()))
 
 
 def test_dask_with_a_worker_killed_midway_gives_the_same(client, serial, tmp_path):

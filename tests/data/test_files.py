@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pcnde_bridge._utils import hdf5
 from pcnde_bridge.data import files as case_files
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT_VERSION
@@ -101,3 +102,37 @@ def test_paths_that_do_not_work(small_cases, tmp_path):
         Cases.load(tmp_path / "absent.npz")
     with pytest.raises(FileError, match="does not exist; create it first"):
         small_cases.save(tmp_path / "absent" / "data.npz")
+
+
+@pytest.fixture
+def on_disk(sheared_cases, tmp_path, monkeypatch):
+    """The cases in a file whose arrays stay on disk."""
+    sheared_cases.save(tmp_path / "cases.h5")
+    monkeypatch.setattr(hdf5, "SMALLEST_MAP", 1)
+    return Cases.load(tmp_path / "cases.h5")
+
+
+def test_large_arrays_stay_on_disk(on_disk, sheared_cases):
+    assert isinstance(on_disk.flow, np.memmap)
+    assert on_disk == sheared_cases
+    ranges = [*on_disk.batches(5)]
+    assert [(rows.start, rows.stop) for rows, _ in ranges] == [(0, 4), (4, 8), (8, 12)]
+    for rows, part in ranges:
+        assert np.shares_memory(part.flow, on_disk.flow)
+        assert part == sheared_cases[rows]
+    assert on_disk[[3, 1]] == sheared_cases[[3, 1]]
+
+
+def test_large_arrays_are_checked(on_disk, small_cases, tmp_path):
+    path = tmp_path / "cases.h5"
+    with h5py.File(path, "r+") as file:
+        file["area"][7, 3, 2] = -1.0
+    with pytest.raises(FileError, match=r"area\[7, 3, 2\] is -1"):
+        Cases.load(path)
+    with h5py.File(path, "r+") as file:
+        file["area"][7, 3, 2] = on_disk.area[6, 3, 2]
+    with pytest.raises(FileError, match="was changed after it was saved"):
+        Cases.load(path)
+    path.write_bytes(path.read_bytes()[:-4000])
+    with pytest.raises(FileError, match=r"cases\.h5"):
+        Cases.load(path)

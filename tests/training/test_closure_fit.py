@@ -25,6 +25,7 @@ from pcnde_bridge.engines.shared_terms import rate
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.model.metrics import relative_error
 from pcnde_bridge.training import closure_fit as fit
+from pcnde_bridge.training.closure_parts import hold_cases
 from pcnde_bridge.training.closure_training import ClosureTraining
 
 
@@ -41,6 +42,19 @@ def cases():
 @pytest.fixture(scope="module")
 def closures():
     return select_engine("jax").closures
+
+
+def fit_losses(closures, cases, config, **again):
+    return fit.fit_losses(hold_cases("losses", closures, cases, config), config, **again).parameters
+
+
+def fit_wall(closures, cases, config):
+    return fit.fit_wall(hold_cases("wall", closures, cases, config), cases, config).parameters
+
+
+def fit_correction(closures, cases, config, *how):
+    held = hold_cases("correction", closures, cases, config)
+    return fit.fit_correction(held, PASSIVE, config, *how).parameters
 
 
 @pytest.mark.parametrize("kind", ["auto", "resistance"])
@@ -79,7 +93,7 @@ def largest_error_of_the_drop(closures, cases, parameters):
 
 def test_losses_are_found(cases, closures):
     # The cases' modes take the storage's shares from a uniform pressure: not to round-off.
-    found = fit.fit_losses(closures, cases, CONFIG).parameters
+    found = fit_losses(closures, cases, CONFIG)
     # Several of the ten can replace each other, but the drop is the same.
     assert largest_error_of_the_drop(closures, cases, found) < 1e-3
     assert found[:2] == pytest.approx(LOSSES[:2], rel=0.05)
@@ -91,7 +105,9 @@ def test_losses_are_fitted_again_without_some_cases(cases, closures):
     other = as_cases((cases.flow, cases.area, pressure))
 
     def fitted(some, left_out):
-        return fit.fit_losses(closures, some, CONFIG, again=(LOSSES, left_out, 3)).parameters
+        return fit.fit_losses(
+            hold_cases("losses", closures, some, CONFIG), CONFIG, again=(LOSSES, left_out, 3)
+        ).parameters
 
     assert np.array_equal(fitted(other, np.arange(4)), fitted(cases, np.arange(4)))
     assert not np.array_equal(fitted(other, []), fitted(cases, []))
@@ -99,7 +115,7 @@ def test_losses_are_fitted_again_without_some_cases(cases, closures):
 
 def test_given_losses_are_kept(cases, closures):
     given = CONFIG.replace(losses={"friction": 1.5, "jet_spread": 0.1})
-    found = fit.fit_losses(closures, cases, given).parameters
+    found = fit_losses(closures, cases, given)
     assert (found[0], found[7]) == (1.5, 0.1)
     assert found[1] == pytest.approx(1.1, rel=0.2)
     starts = np.array([start for start, _, _ in fit._LOSSES.values()])
@@ -107,16 +123,18 @@ def test_given_losses_are_kept(cases, closures):
 
 
 def test_membrane_is_found(cases, closures):
-    assert fit.fit_wall(closures, cases, CONFIG).parameters == pytest.approx(MEMBRANE, rel=0.01)
+    assert fit.fit_wall(
+        hold_cases("wall", closures, cases, CONFIG), cases, CONFIG
+    ).parameters == pytest.approx(MEMBRANE, rel=0.01)
 
 
 def test_membrane_with_given_zero_pressure_is_found(cases, closures):
     given = CONFIG.replace(wall={"zero_pressure": 2e3})
-    found = fit.fit_wall(closures, cases, given).parameters
+    found = fit_wall(closures, cases, given)
     assert found == pytest.approx(MEMBRANE, rel=5e-3)
     assert found[4] == 2e3
     given = CONFIG.replace(wall={"stiffness": 1.1e6, "poisson": 0.4})
-    assert tuple(fit.fit_wall(closures, cases, given).parameters[:2]) == (1.1e6, 0.4)
+    assert tuple(fit_wall(closures, cases, given)[:2]) == (1.1e6, 0.4)
 
 
 def error_of_the_shear(cases, found):
@@ -153,7 +171,9 @@ def local_cases(cases):
 
 def test_local_law_is_found(local_cases, closures):
     config = CONFIG.replace(wall={"law": "local"})
-    found = fit.fit_wall(closures, local_cases, config).parameters
+    found = fit.fit_wall(
+        hold_cases("wall", closures, local_cases, config), local_cases, config
+    ).parameters
     assert found == pytest.approx([2e6, 0.7, 2e3], rel=0.01)
 
 
@@ -184,7 +204,9 @@ def test_correction_starts_from_the_cases(cases, corrected):
 def test_storage_is_found_with_the_share_that_the_correction_hides(cases, closures):
     first = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
     first[0] = 0.8
-    found = fit.fit_correction(closures, PASSIVE, cases, CONFIG, first, np.ones(16), 15).parameters
+    found = fit.fit_correction(
+        hold_cases("correction", closures, cases, CONFIG), PASSIVE, CONFIG, first, np.ones(16), 15
+    ).parameters
     assert found.shape == first.shape
     assert np.array_equal(found[1:4], first[1:4])
     flow = solve(PASSIVE.replace(correction=found)).flow
@@ -195,7 +217,9 @@ def test_storage_is_found_with_the_share_that_the_correction_hides(cases, closur
 def test_given_storage_is_kept(cases, closures):
     given = CONFIG.replace(correction={"storage": 1.3})
     first = fit.first_correction(cases, given, np.random.default_rng(0))
-    found = fit.fit_correction(closures, PASSIVE, cases, given, first, np.ones(16), 15).parameters
+    found = fit.fit_correction(
+        hold_cases("correction", closures, cases, given), PASSIVE, given, first, np.ones(16), 15
+    ).parameters
     assert found[0] == 1.3
 
 
@@ -207,7 +231,9 @@ def test_cases_of_weight_zero_do_not_count(cases, closures):
     without = (np.arange(16) >= 4).astype(float)
 
     def fitted(some, weight):
-        return fit.fit_correction(closures, PASSIVE, some, CONFIG, first, weight, 3).parameters
+        return fit.fit_correction(
+            hold_cases("correction", closures, some, CONFIG), PASSIVE, CONFIG, first, weight, 3
+        ).parameters
 
     assert np.array_equal(fitted(other, without), fitted(cases, without))
     assert not np.array_equal(fitted(other, np.ones(16)), fitted(cases, np.ones(16)))
@@ -217,4 +243,11 @@ def test_first_values_that_cannot_be_computed_are_an_error(cases, closures):
     first = fit.first_correction(cases, CONFIG, np.random.default_rng(0))
     first[2] = np.nan
     with pytest.raises(SolveError, match="Check the units of the training cases"):
-        fit.fit_correction(closures, PASSIVE, cases, CONFIG, first, np.ones(16), 3)
+        fit.fit_correction(
+            hold_cases("correction", closures, cases, CONFIG),
+            PASSIVE,
+            CONFIG,
+            first,
+            np.ones(16),
+            3,
+        )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -25,11 +28,14 @@ from pcnde_bridge import (
     InputError,
 )
 from pcnde_bridge._utils.archive import read_archive, write_archive
+from pcnde_bridge._utils.workers import Worker
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.splits import neighboring_folds
 from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.engines import select_engine
 from pcnde_bridge.errors import FileError
+from pcnde_bridge.model import pcnde
+from pcnde_bridge.training import closure_parts
 from pcnde_bridge.training.closure_fit import _LOSSES
 from pcnde_bridge.training.closure_training import ClosureTraining
 from pcnde_bridge.training.trainer import Trainer
@@ -290,3 +296,22 @@ def test_published_cases_are_met_within_the_limits(published_cases):
     assert errors["pressure"] <= 0.0065
     assert errors["wall_shear_stress"] <= 0.08
     assert errors["time_averaged_wall_shear_stress"] <= 0.06
+
+
+def test_workers_give_the_same(physics_cases, physics_model, monkeypatch):
+    pools = [ThreadPoolExecutor(1) for _ in range(2)]
+
+    def worker(number):
+        def submit(function, *arguments):
+            return pools[number].submit(function, *pickle.loads(pickle.dumps(arguments)))  # noqa: S301
+
+        return Worker(submit, str(number))
+
+    monkeypatch.setattr(closure_parts, "LARGEST_PART", 6)
+    monkeypatch.setattr(pcnde, "started_workers", lambda count: nullcontext([*map(worker, count)]))
+    fitted = fit_physics(physics_cases, executor=range(2))
+    for name, vector in fitted.parameters:
+        expected = getattr(physics_model.parameters, name)
+        np.testing.assert_allclose(vector, expected, rtol=1e-10, atol=1e-12, err_msg=name)
+    with pytest.raises(InputError, match="needs the preset 'physics' and the engine 'jax'"):
+        PCNDE.fit(physics_cases, "fast", "jax", executor=2)

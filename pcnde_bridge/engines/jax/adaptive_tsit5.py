@@ -3,12 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 
 from pcnde_bridge.config.settings import FlowStage
-from pcnde_bridge.engines.jax.pi_controller import PIController
 
 _CHECKPOINTS = 16  # more than the steps of a usual solve, so that none is recomputed
 
@@ -49,6 +47,9 @@ def integrate(
     array of shape (z, case, number)
         States at the points; infinite where the integration did not reach them.
     """
+    import diffrax  # takes long, and not every model needs it
+
+    from pcnde_bridge.engines.jax.pi_controller import PIController
 
     def slope(position: Any, state: jax.Array, _: None) -> jax.Array:
         i = jnp.clip(jnp.searchsorted(z, position, side="right") - 1, 0, z.size - 2)

@@ -6,19 +6,15 @@ the drive at every stage, and the interpolant at every point.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-# Row i: weights of the earlier slopes in the state where slope i + 1 is evaluated; the last row
-# gives the state after the step.
-_A = np.zeros((6, 7))
-for _row, _weights in zip(_A, diffrax.Tsit5.tableau.a_lower, strict=True):
-    _row[: len(_weights)] = _weights
-_C = np.asarray(diffrax.Tsit5.tableau.c)
+from pcnde_bridge._typing import Array
+
 # Coefficients of θ, θ², θ³, θ⁴ in the weights of the seven slopes (Tsitouras 2011).
 # fmt: off
 _INTERPOLANT = np.array([
@@ -31,6 +27,22 @@ _INTERPOLANT = np.array([
      47.37952196281928, -34.87065786149661, 2.5],
 ])
 # fmt: on
+
+
+@cache
+def _tableau() -> tuple[Array, Array]:
+    """Return weights and positions of the slopes.
+
+    Row i has the weights of the earlier slopes in the state where slope i + 1 is evaluated; the
+    last row gives the state after the step.
+    """
+    import diffrax  # takes long, and not every model needs it
+
+    tableau = diffrax.Tsit5.tableau
+    weights = np.zeros((6, 7))
+    for row, found in zip(weights, tableau.a_lower, strict=True):
+        row[: len(found)] = found
+    return weights, np.asarray(tableau.c)
 
 
 def integrate(
@@ -60,11 +72,12 @@ def integrate(
     array of shape (n, case, z)
         y at the points.
     """
+    of_slopes, positions = _tableau()
     step = (z[-1] - z[0]) / steps
     starts = z[0] + step * jnp.arange(steps)
-    hats = _hat_functions(z, (starts[:, None] + step * _C).ravel())
+    hats = _hat_functions(z, (starts[:, None] + step * positions).ravel())
     drives = jnp.einsum("mnz,zk->kmn", drive, hats)
-    drives = drives.reshape(steps, len(_C), *drives.shape[1:])
+    drives = drives.reshape(steps, len(positions), *drives.shape[1:])
 
     def advance(
         before: tuple[jax.Array, jax.Array], drives: jax.Array
@@ -78,7 +91,7 @@ def integrate(
 
         # A loop, so that the rate is compiled once instead of six times.
         slopes = jnp.zeros((7, *state.shape)).at[0].set(slope)
-        slopes, states = jax.lax.scan(stage, slopes, (jnp.arange(1, 7), _A, drives))
+        slopes, states = jax.lax.scan(stage, slopes, (jnp.arange(1, 7), of_slopes, drives))
         return (states[-1], slopes[-1]), jnp.concatenate([state[None], slopes])
 
     nothing = jnp.zeros((size, drive.shape[1]))

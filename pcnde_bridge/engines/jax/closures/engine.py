@@ -35,6 +35,9 @@ _BATCH = 64
 _STEP = 16
 """Step of the numbers of cases or vessels for which functions are compiled."""
 
+_FEW = 8
+"""Number of vessels beyond which the losses of a multiple of it are computed."""
+
 _SETTLED = 1e-9
 """Expected change of the flow below which the passes end, relative to the largest inflow."""
 
@@ -59,9 +62,10 @@ class JaxClosures(Closures):
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
         inflow, area_undeformed, grid = inputs
         (modes, _), which = _vessels_of(others, area_undeformed, grid, config)
-        vessels = jax.tree.map(lambda array: array[which], modes)
-        cases = vessels, inflow, _outlets(others, inputs, outlet)
-        return _problem(_flow, cases, (others.wall, points, grid.period), config)
+        at = [*points, -1]  # the outlet's flow is the unknown of the coupling
+        vessels = modes.flow[which][..., at], modes.flow_slope[which][..., at]
+        cases = *vessels, modes.reference_flow[which], inflow, _outlets(others, inputs, outlet)
+        return _problem(_flow, cases, (others.wall, grid.period), config)
 
     def _problem(
         self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
@@ -73,6 +77,8 @@ class JaxClosures(Closures):
         distinct, which = np.unique(area_undeformed, axis=0, return_inverse=True)
         which = which.ravel()  # NumPy 2.0.0 returns a column
         if name == "losses":
+            if len(distinct) > _FEW:  # so that few numbers of vessels are compiled
+                distinct = _padded(distinct, -(-len(distinct) // _FEW) * _FEW)
             return _problem(_losses, (which, flow, flow_rate), (distinct, grid.z), config)
         own_points = config.replace(losses={"spacing": None})
         (modes, terms), which = _vessels_of(parameters[0], area_undeformed, grid, own_points)
@@ -254,12 +260,11 @@ def _area(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -
 
 @_each_case
 def _flow(parameters: jax.Array, case: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
-    (vessel, inflow, outlet), (wall, points, period) = case, fixed
-    vectors = outlet, wall, parameters
-    at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
-    coupled = couple(*vectors, jnp.zeros(()), inflow, *at_outlet, period, config.correction)
-    in_z = vessel.flow.at[3:].add(coupled.mean_pressure * vessel.flow_slope)
-    return coupled.flow.T @ in_z[:, points]
+    (flow, slope, reference_flow, inflow, outlet), (wall, period) = case, fixed
+    at_outlet = flow[:, -1], slope[:, -1], reference_flow
+    given = outlet, wall, parameters, jnp.zeros(()), inflow, *at_outlet, period
+    coupled = couple(*given, config.correction)
+    return (coupled.flow.T @ flow.at[3:].add(coupled.mean_pressure * slope))[:, :-1]
 
 
 @_each_case

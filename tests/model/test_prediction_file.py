@@ -1,0 +1,106 @@
+"""Predictions of many cases in an HDF5 file."""
+
+from __future__ import annotations
+
+import warnings
+
+import h5py
+import numpy as np
+import pytest
+
+from pcnde_bridge import load_cases
+from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, SolveError, TaskError
+from pcnde_bridge.model import prediction_file as module
+from pcnde_bridge.model.prediction_file import predict_to_file
+
+
+@pytest.fixture
+def inputs(physics_cases):
+    return physics_cases.inflow[:10], physics_cases.area_undeformed[:10]
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "many.h5"
+
+
+def test_the_file_is_the_data_set_of_the_prediction(physics_model, inputs, path):
+    failed = predict_to_file(physics_model, path, *inputs, batch=4, progress=False)
+    assert failed.size == 0
+    found, expected = load_cases(path), physics_model.predict(*inputs)
+    assert found.variables().keys() == expected.variables().keys()
+    for name, values in expected.variables().items():
+        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-12, err_msg=name)
+    assert found.labels["geometry"].tolist() == [*range(1, 11)]
+    indices = expected.indices()
+    with h5py.File(path) as file:
+        for name in ("ffr", "proximal", "peak_wss"):
+            np.testing.assert_allclose(file["indices"][name], indices[name], rtol=1e-12)
+        assert np.array_equal(file["indices/novelty"], expected.novelty)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_indices_alone_and_one_vessel_for_all(physics_model, inputs, path):
+    inflow, (area, *_) = inputs
+    labels = {"geometry": np.ones(10, int), "waveform": np.arange(10)}
+    options = {"fields": False, "labels": labels, "batch": 4, "progress": False}
+    predict_to_file(physics_model, path, inflow, area, **options)
+    with h5py.File(path) as file:
+        assert "flow" not in file
+        assert file["labels/waveform"][:].tolist() == [*range(10)]
+        expected = physics_model.predict(inflow, area).indices()["mean_drop_mmHg"]
+        np.testing.assert_allclose(file["indices/mean_drop_mmHg"], expected, rtol=1e-12)
+
+
+def test_an_interrupted_run_is_continued(physics_model, inputs, path, monkeypatch):
+    predict, calls = module._predict, []
+
+    def fails_once(batch):
+        calls.append(batch.start)
+        if batch.start == 6 and len(calls) < 4:
+            raise InputError("no")
+        return predict(batch)
+
+    monkeypatch.setattr(module, "_predict", fails_once)
+    with pytest.raises(TaskError, match=r"cases 6 to 9: no"):
+        predict_to_file(physics_model, path, *inputs, batch=4, progress=False)
+    assert calls == [0, 3, 6]
+    assert not path.exists()
+    with pytest.raises(InputError, match="result of other tasks"):
+        predict_to_file(physics_model, path, *inputs, batch=4, fields=False, progress=False)
+    predict_to_file(physics_model, path, *inputs, batch=4, progress=False)
+    assert calls == [0, 3, 6, 6]
+    expected = physics_model.predict(*inputs).flow
+    np.testing.assert_allclose(load_cases(path).flow, expected, rtol=1e-12)
+
+
+def test_cases_that_fail_are_nan_and_named(physics_model, inputs, path, monkeypatch):
+    whole = type(physics_model)._solve
+
+    def some_fail(model, given):
+        if (bad := np.flatnonzero(given.inflow[:, 0] == inputs[0][7, 0])).size:
+            raise SolveError("no", bad)
+        return whole(model, given)
+
+    monkeypatch.setattr(type(physics_model), "_solve", some_fail)
+    same = np.flatnonzero(inputs[0][:, 0] == inputs[0][7, 0])
+    with pytest.warns(PCNDEWarning, match=f"{len(same)} of 10 cases could not be predicted"):
+        failed = predict_to_file(physics_model, path, *inputs, progress=False)
+    assert np.array_equal(failed, same)
+    with h5py.File(path) as file:
+        assert np.array_equal(np.flatnonzero(np.isnan(file["pressure"][:, 3, 2])), same)
+
+
+def test_cases_outside_the_training_data_are_counted(physics_model, inputs, path):
+    inflow = inputs[0] * np.where(np.arange(10) < 3, 3.0, 1.0)[:, None]
+    with pytest.warns(PCNDEWarning, match="3 of 10 cases lie outside the training data"):
+        predict_to_file(physics_model, path, inflow, inputs[1], fields=False, progress=False)
+
+
+def test_unusable_arguments(physics_model, inputs, path):
+    with pytest.raises(FileError, match=r"must end in \.h5 or \.hdf5"):
+        predict_to_file(physics_model, path.with_suffix(".csv"), *inputs)
+    with pytest.raises(InputError, match="inflow has 10 cases and area_undeformed 3"):
+        predict_to_file(physics_model, path, inputs[0], inputs[1][:3])
+    with warnings.catch_warnings(), pytest.raises(InputError, match="inflow"):
+        predict_to_file(physics_model, path, inputs[0] * np.nan, inputs[1])
