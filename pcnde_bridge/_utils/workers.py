@@ -1,4 +1,4 @@
-"""Workers that hold parts of the data, such as some cases, and compute with them repeatedly.
+"""Workers that hold parts of the data, such as a subset of the cases, for repeated use.
 
 The results of all parts come in the order of the parts, so that sums of them do not depend on the
 number of workers.

@@ -145,7 +145,7 @@ def predict_to_file(
 
 @dataclass(frozen=True)
 class _Batch:
-    """Inputs of some cases, and the file that their prediction is written to."""
+    """Inputs of a subset of the cases, and the file that their prediction is written to."""
 
     model: Predictor
     path: Path

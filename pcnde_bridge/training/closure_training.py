@@ -152,7 +152,7 @@ class ClosureTraining(Procedure[ClosureState]):
         return _with(state, f"member_{member}", others.replace(correction=correction).refitted)
 
     def _held(self, name: str, state: ClosureState) -> HeldCases:
-        """Return the parts of the cases for a closure; those of the ensemble's fits are kept."""
+        """Return the parts of the cases for a closure; those of the wall are released then."""
         if name not in self._parts:
             outlet = self._response(state.parameters) if name == "correction" else None
             given = self.engine.closures, self.cases, self.config, self.workers, outlet
