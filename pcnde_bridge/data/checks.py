@@ -21,6 +21,7 @@ from pcnde_bridge._utils.validation import (
 from pcnde_bridge.data.plausibility import BALANCES, check_units, sizes_of
 from pcnde_bridge.data.selection import batches_of
 from pcnde_bridge.data.single_vessel import check_vessel
+from pcnde_bridge.data.units import SYSTEMS
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -146,7 +147,11 @@ def check_plausible(
         sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
         stated = {"shape": "area", **stated}
     try:
-        check_units(sizes, stated, unique=strict and bool(arrays["flow"].any()))
+        check_units(sizes, stated)
+        if strict and arrays["flow"].any():
+            # Radii, diameters or other units may be as usual, but hardly both at once.
+            check_units(sizes, {**SYSTEMS["cgs"], **stated}, unique=True)
+            check_units(sizes, stated, unique=True, shapes=("area",))
     except InputError as error:
         if strict:
             raise
