@@ -40,7 +40,7 @@ def growth_of_volume(flow: Array, area: Array, time: Array, z: Array) -> Array:
 def lag(signal: Array, other: Array) -> int:
     """Return by how many steps a periodic signal is later than another, within half a cycle.
 
-    It is 0 where the signals are as similar as they are, or not similar at any lag.
+    It is 0 if no lag makes the signals similar, or clearly more similar.
     """
     deviations = [values - values.mean() for values in (signal, other)]
     size = max(math.prod(map(np.linalg.norm, deviations)), np.finfo(float).tiny)
@@ -57,10 +57,10 @@ def momentum(
 ) -> tuple[Array, Array]:
     """Return the density, and the pressure drop over that of Poiseuille's flow, each (case,).
 
-    The density is that by which differences of the pressure accelerate the flow; losses are
-    the rest that is constant, linear or quadratic in the flow.  It is NaN where accelerations
-    do not explain what remains of the differences.  The drop is the mean pressure along the
-    vessel over ∫ Q/S² dz, the friction but for 8·π·μ; it is NaN where it is lost in noise.
+    The density is that by which differences of the pressure accelerate the flow, beside losses
+    that are constant, linear and quadratic in the flow.  It is NaN where accelerations do not
+    explain the rest of the differences.  The drop is the mean pressure along the
+    vessel over ∫ Q/S² dz, the friction but for 8·π·μ; it is NaN if it is smaller than the noise.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def momentum(
 
 
 def _rest(columns: Array, values: Array) -> Array:
-    """Return what the columns do not explain of the values."""
+    """Return the residual of a least-squares fit of the values by the columns."""
     basis, _ = np.linalg.qr(columns)
     rest: Array = values - basis @ (basis.T @ values)
     return rest

@@ -18,7 +18,7 @@ from pcnde_bridge._utils.validation import (
     naming,
     real_array,
 )
-from pcnde_bridge.data.plausibility import BALANCES, check_units, sizes_of
+from pcnde_bridge.data.plausibility import BALANCES, UnitsError, check_units, sizes_of
 from pcnde_bridge.data.selection import batches_of
 from pcnde_bridge.data.single_vessel import check_vessel
 from pcnde_bridge.data.units import SYSTEMS
@@ -124,7 +124,8 @@ def check_plausible(
     stated : mapping of str to str
         Units that the caller stated.
     strict : bool
-        If False, warn of magnitudes, and accept any flow and any sample.
+        If False, warn of magnitudes, and accept any flow and any sample.  Unusual magnitudes in
+        stated units are a warning, too.
 
     Raises
     ------
@@ -143,16 +144,16 @@ def check_plausible(
         parts.append(sizes_of(**part))
         release(*arrays.values())
     sizes = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    if not strict:
-        sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
-        stated = {"shape": "area", **stated}
-    try:
+    if strict:
         check_units(sizes, stated)
-        if strict and arrays["flow"].any():
-            # Radii, diameters or other units may be as usual, but hardly both at once.
-            check_units(sizes, {**SYSTEMS["cgs"], **stated}, unique=True)
-            check_units(sizes, stated, unique=True, shapes=("area",))
-    except InputError as error:
-        if strict:
-            raise
-        warnings.warn(str(error), UnitsWarning, stacklevel=3)
+    if strict and arrays["flow"].any():
+        # Radii, diameters or other units may be as usual, but hardly both at once.
+        check_units(sizes, {**SYSTEMS["cgs"], **stated}, unique=True)
+        check_units(sizes, stated, unique=True, shapes=("area",))
+    if stated or not strict:
+        sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
+        try:
+            check_units(sizes, {"shape": "area"})
+        except UnitsError as error:
+            text = f"{error.problem}." if stated else str(error)
+            warnings.warn(text, UnitsWarning, stacklevel=3)

@@ -69,16 +69,21 @@ _RANGES = (
     _Range("the length of the vessel", " cm", 0.2, 100, 0.05, 300, {"z": 1}),
     _Range("the length of the recording", " s", 0.25, 60, 0.08, 300, {"time": 1}),
     _Range("the area over the undeformed area", "", 0.75, 1.55, 0.2, 5, {"ratio": 1, "area": 0}),
-    _Range("the largest of these along the vessel, over the least,", "", 1, 3, 1, 4, _ALONG),
+    _Range(
+        "the largest of these ratios along the vessel over the smallest", "", 1, 3, 1, 4, _ALONG
+    ),
     _Range("flow over area", " cm/s", 2, 100, 0.2, 400, {"flow": 1, "area": -1}),
     _Range("the Reynolds number", "", 4, 6000, 1.2, 2e4, {"flow": 1, "area": -0.5}, _REYNOLDS),
     _Range("the wall shear stress over Poiseuille's", "", 0.32, 3.1, 0.32, 5, _SHEAR, _POISEUILLE),
     _Range("the length over the diameter", "", 2.5, 100, 0.8, 300, {"z": 1, "area": -0.5}, _ROOT),
-    _Range("inflow less outflow, over the growth of the volume,", "", *(0.3, 2.8) * 2, _BALANCE),
-    _Range("the density by pressures and accelerations", " g/cm³", 0.75, 1.43, 0.4, 3, _INERTIA),
     _Range(
-        "the pressure drop over Poiseuille's", "", 0.6, 200, -math.inf, math.inf, _FRICTION, _DROP
+        "the ratio of inflow less outflow to the growth of the volume",
+        "",
+        *(0.3, 2.8) * 2,
+        _BALANCE,
     ),
+    _Range("the density by pressures and accelerations", " g/cm³", 0.75, 1.43, 0.4, 3, _INERTIA),
+    _Range("the pressure drop over Poiseuille's", "", 0.6, 200, -1.0, math.inf, _FRICTION, _DROP),
 )
 
 BALANCES = {"balance", "inertia", "friction"}
@@ -213,7 +218,7 @@ def check_units(
         Whether the recording may begin at rest: numbers that
         :mod:`pcnde_bridge.data.single_vessel` may explain count only if other units do, too.
     shapes : collection of str
-        What the areas can be unless the shape is stated.
+        Possible readings of the areas if the shape is not stated.
 
     Raises
     ------
@@ -225,33 +230,36 @@ def check_units(
     if "pressure" in open_ and (sizes["pressure"] < 0).any():
         raise UnitsError(
             f"the mean pressure is {sizes['pressure'].min():.4g}, but pressures must be relative "
-            "to the surroundings, as blood pressures are",
-            f"if they are, {_CGS}",
+            "to the surroundings",
+            f"if these are, {_CGS}",
         )
     by_system = "area" in stated and "shape" not in stated
     doubts: list[str] = []
     explained: list[str] = []
-    compared = []
+    compared, of_doubt = [], False
     for usual in (usual for usual in _RANGES if usual.powers.keys() <= sizes.keys()):
         names, extremes = usual.powers.keys(), usual.extremes(sizes)
-        hint = _HINT * ("area" in names and "shape" not in stated)
+        of_area = "area" in names and "shape" not in stated
         of_start = start and names & _EXPLAINED
         if not (names & open_ or of_start) and (doubt := usual.doubt(*extremes, possible=True)):
             advice = "correct the units (--units), or the numbers"
-            raise UnitsError(f"with the stated units {doubt}{hint}", advice)
+            raise UnitsError(f"with the stated units {doubt}{_HINT * of_area}", advice)
         if names & open_ or (by_system and "area" in names):
             compared.append(usual)
             if doubt := usual.doubt(*extremes):
-                (explained if of_start else doubts).append(doubt + hint)
+                (explained if of_start else doubts).append(doubt)
+                of_doubt |= of_area
     if not (doubts or explained or unique):
         return
     others = _readings(sizes, compared, stated, ["area"] if "shape" in stated else shapes)
     if others or (doubts and not by_system):
-        raise _units_error([*doubts, *explained] if others else doubts, others, open_, by_system)
+        text = "; ".join([*doubts, *explained] if others else doubts)
+        text += _HINT * bool(text and of_doubt)
+        raise _units_error(text, others, open_, by_system)
 
 
 def _units_error(
-    doubts: Sequence[str],
+    doubts: str,
     others: Sequence[Mapping[str, str]],
     open_: Collection[str],
     by_system: bool,
@@ -264,11 +272,14 @@ def _units_error(
     if not doubts:
         problem = f"the units are ambiguous: the numbers are usual in CGS units, and with {listed}"
         return UnitsError(problem, f"{state}; if they are CGS, {cgs}")
-    problem = f"does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {'; '.join(doubts)}"
+    problem = f"does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {doubts}"
     usual = f"All numbers are usual with {listed}"
     if not others:
         usual = "They are unusual in every combination of known units"
-        state = "correct the numbers, such as radii or diameters in place of areas"
+        state = (
+            "correct the numbers, such as radii or diameters in place of areas, a reversed vessel, "
+            "or pressures relative to the outlet"
+        )
     elif len(others) == 1 and not by_system:
         state = _stated(others[0], open_)
     return UnitsError(f"this {problem}. {usual}", f"{state}, or {cgs} if they are right")

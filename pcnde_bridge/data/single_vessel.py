@@ -6,6 +6,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.balances import lag
+from pcnde_bridge.data.variables import VARIABLES
 from pcnde_bridge.errors import InputError
 
 _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up to 7.5 (3D data)
@@ -13,6 +14,7 @@ _GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with k
 _RESOLVED, _FINE = 16, 40  # time points that show the shape of a waveform, and its derivatives
 _LAG = 0.04  # of the cycle; walls that creep are a little late
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
+_OPPOSITE = 0.95  # correlation with the opposite sign
 _TRANSPOSED = (
     "the arrays look transposed, (z, time) in place of (time, z): exchange their last two axes, "
     "np.swapaxes(array, -1, -2)."
@@ -38,10 +40,17 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     Raises
     ------
     InputError
-        See :func:`check_flow` and :func:`check_samples`; also if pressure or flow are
-        shifted in time, or if most of the wall shear stress points against the flow.
+        See :func:`check_flow` and :func:`check_samples`; also if there are several equal cycles,
+        if pressure or flow are shifted in time or reversed, or if most of the wall shear stress
+        points against the flow.
     """
     check_axes(variables["flow"])
+    moving = [variables[n] for n in VARIABLES if np.ptp(variables[n], axis=0).all()]
+    if moving and (cycles := equal_cycles(np.concatenate(moving, axis=1))) > 1:
+        raise InputError(
+            f"the recording has {cycles} equal cycles: give one, the first {len(time) // cycles} "
+            "time points, and its period."
+        )
     for name, values in variables.items():
         check_samples(name, values, time)
     check_flow(variables["flow"], variables["area"], z, flip)
@@ -54,8 +63,8 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
         if missing.any():
             at = int(missing.argmax())
             raise InputError(
-                f"the mean {name} is {mean[at]:.4g} at z = {z[at]:.4g} cm (point {at}), and usual "
-                "beside it: leave out the points without results."
+                f"the mean {name} is {mean[at]:.4g} at z = {z[at]:.4g} cm (point {at}), but usual "
+                "at the neighboring points: leave out the points without results."
             )
     stress = variables.get("wall_shear_stress", np.ones((1, 1)))
     if (usual := np.median(stress.mean(axis=0))) < 0:
@@ -76,12 +85,33 @@ def _check_phases(variables: Mapping[str, Array], z: Array, time: Array) -> None
         ("pressure", variables["pressure"].mean(axis=1), volume),
         ("flow", flow[:, 0] - flow[:, -1], growth),
     ):
+        if name == "flow" and _opposes(signal, of):
+            raise InputError(
+                "more flows out than in while the volume grows: the flow has the wrong sign, or z "
+                "or time runs backward."
+            )
         if abs(steps := lag(signal, of)) > _LAG * len(time):
             late = "late" if steps > 0 else "early"
             raise InputError(
                 f"the {name} is {abs(steps) * (time[1] - time[0]):.3g} s too {late} for the area "
-                "of elastic walls: all variables must begin at the same time of the cycle."
+                "of elastic walls: give all variables from the same start of the cycle."
             )
+
+
+def _opposes(signal: Array, other: Array) -> bool:
+    """Return whether two periodic signals vary against each other."""
+    one, two = signal - signal.mean(), other - other.mean()
+    return bool(one @ two < -_OPPOSITE * np.linalg.norm(one) * np.linalg.norm(two))
+
+
+def equal_cycles(values: Array) -> int:
+    """Return how many equal cycles signals of shape (time, column) have; at most 5."""
+    size, count = np.ptp(values, axis=0), len(values)
+    for cycles in range(5, 1, -1):
+        difference = np.abs(values - np.roll(values, count // cycles, axis=0))
+        if count % cycles == 0 and (difference < 0.01 * size).all():
+            return cycles
+    return 1
 
 
 def _is_coarse(time: Array) -> bool:
@@ -137,7 +167,7 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
     gaps = _gaps(values, floor)
     if gaps[at := int(gaps.argmax())] > _GAP:
         raise InputError(
-            f"it is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
+            f"the recording is not one cycle: {name} ends at {values[-1, at]:.4g} and begins at "
             f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
             "or pass the period (--period)."
         )

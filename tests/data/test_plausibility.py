@@ -246,7 +246,9 @@ def test_undeformed_areas_that_do_not_go_with_the_areas_are_refused():
     check_units(sizes_of(**fields), STATED, unique=True)
     fields["area_undeformed"] = fields["area_undeformed"][:, ::-1]
     for stated in ({}, STATED):
-        with pytest.raises(InputError, match=r"these along the vessel, over the least, is 6\.25"):
+        with pytest.raises(
+            InputError, match=r"these ratios along the vessel over the smallest is 6\.25"
+        ):
             check_units(sizes_of(**fields), stated)
 
 
@@ -340,6 +342,6 @@ def test_a_factor_of_the_flow_is_found():
     Cases(**fields)
     for factor in (1 / 4, 3.0):
         with pytest.raises(
-            InputError, match=rf"growth of the volume, is {factor:g}[.0-9]*, usual are"
+            InputError, match=rf"growth of the volume is {factor:g}[.0-9]*, usual are"
         ):
             Cases(**{**fields, "flow": factor * fields["flow"]})

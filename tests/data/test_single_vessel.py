@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import artery
 
+from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.single_vessel import check_flow, check_samples, check_vessel
 from pcnde_bridge.errors import InputError
 
@@ -151,5 +152,33 @@ def test_a_part_of_a_smooth_cycle_is_no_cycle(start):
     values = np.roll(waveform()[:, :1], -start, axis=0)
     check_samples("flow", values, np.arange(100) / 100)
     for count in (90, 95):
-        with pytest.raises(InputError, match="it is not one cycle"):
+        with pytest.raises(InputError, match="the recording is not one cycle"):
             check_samples("flow", values[:count], np.arange(count) / 100)
+
+
+@pytest.mark.parametrize("change", ["flow", "time"])
+def test_a_reversed_flow_or_time_is_refused(change):
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, n_times=32, drop=False)
+    Cases(**fields, units="cgs,area=cm^2")
+    if change == "flow":
+        fields["flow"] = fields["flow"][..., ::-1]
+    else:
+        fields |= {name: fields[name][:, ::-1] for name in ("flow", "area", "pressure")}
+    with pytest.raises(InputError, match="more flows out than in while the volume grows"):
+        Cases(**fields, units="cgs,area=cm^2")
+
+
+def test_several_cycles_are_refused():
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, shear=None)
+    for name in ("flow", "area", "pressure"):
+        fields[name] = np.tile(fields[name], (1, 2, 1))
+    fields["time"] = np.arange(32) / 32 * 1.8
+    with pytest.raises(InputError, match="2 equal cycles: give one, the first 16 time points"):
+        Cases(**fields)
+
+
+def test_a_reversed_pressure_is_refused_in_stated_units():
+    fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, rigid=True)
+    fields["pressure"] = fields["pressure"][..., ::-1]
+    with pytest.raises(InputError, match=r"stated units the .* possible are"):
+        Cases(**fields, units="cgs")
