@@ -33,7 +33,11 @@ end
 
 @testset "physics terms" begin
     for terms in term_sets
-        for (solver, rtol) in ((tight, 1e-8), ((; steps = 30), 1e-12))
+        # Round-off decides the steps at kinks of S and with them the error, here up to 5000 times
+        # the solver's relative tolerance.
+        for (solver, rtol) in (
+            (; rtol = 1e-13, atol = 1e-15, max_steps = 4096) => 1e-8, (; steps = 30) => 1e-12,
+        )
             stage = FlowStage(; terms, hidden = [5, 4], solver...)
             parameters = sustained_parameters(stage)
             given = physics_terms(Config(; flow = stage), 0.8)
