@@ -21,7 +21,6 @@ from pcnde_bridge._utils.validation import (
 from pcnde_bridge.data.plausibility import BALANCES, UnitsError, check_units, sizes_of
 from pcnde_bridge.data.selection import batches_of
 from pcnde_bridge.data.single_vessel import check_vessel
-from pcnde_bridge.data.units import SYSTEMS
 from pcnde_bridge.data.variables import FIELDS, VARIABLES
 from pcnde_bridge.errors import InputError, PCNDEWarning
 
@@ -145,11 +144,7 @@ def check_plausible(
         release(*arrays.values())
     sizes = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if strict:
-        check_units(sizes, stated)
-    if strict and arrays["flow"].any():
-        # Radii, diameters or other units may be as usual, but hardly both at once.
-        check_units(sizes, {**SYSTEMS["cgs"], **stated}, unique=True)
-        check_units(sizes, stated, unique=True, shapes=("area",))
+        check_units(sizes, stated, unique=bool(arrays["flow"].any()))
     if stated or not strict:
         sizes = {name: size for name, size in sizes.items() if name not in BALANCES}
         try:
