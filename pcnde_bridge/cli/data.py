@@ -108,7 +108,7 @@ def design(
     from pcnde_bridge.io.input_tables import read_candidates
     from pcnde_bridge.model.pcnde import PCNDE
 
-    given = read_candidates(inflow, area, period)
+    given = read_candidates(inflow, area, period, units)
     candidates, labels = designs.all_pairs(*given, units=units)
     say(summary(candidates.grid.z, candidates.area_undeformed))
     finished = None if done is None else load_cases(str(done))

@@ -50,7 +50,7 @@ ENGINE = option("auto", "Compute engine.")
 UNITS = option(
     None,
     "cgs, mm-g-s, si, or the units not in CGS: pressure=mmHg,z=mm. Radii or diameters in place "
-    "of areas: radius=mm, diameter=cm; cgs,area=cm^2 denies them.",
+    "of areas: radius=mm, diameter=cm. cgs,area=cm^2: CGS units, and areas are areas.",
 )
 OUTLET = option(
     None,

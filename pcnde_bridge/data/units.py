@@ -41,7 +41,7 @@ QUANTITIES = {"area_undeformed": "area", "period": "time"}
 """Quantities of arrays that have other names."""
 
 SHAPES: Mapping[str, float] = {"area": 1.0, "radius": math.pi, "diameter": math.pi / 4}
-"""What a column of areas can hold; for lengths, the area of a circle over their squares."""
+"""Readings of a column of areas, with the area of a circle divided by the square of the length."""
 
 
 def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
@@ -65,11 +65,11 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
         return {}
     stated: dict[str, str] = {}
     if not isinstance(units, Mapping):
-        system, *pairs = str(units).split(",")
+        system, *pairs = (part.strip() for part in str(units).split(","))
         if "=" in system:
             pairs = [system, *pairs]
-        elif system in SYSTEMS:
-            stated |= SYSTEMS[system]
+        elif system.lower() in SYSTEMS:
+            stated |= SYSTEMS[system.lower()]
         else:
             raise InputError(
                 f"Unknown units {units!r}; give one of {sorted(SYSTEMS)}, or a mapping such as "
@@ -77,11 +77,12 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
             )
         units = dict(pair.partition("=")[::2] for pair in pairs)
     known = {**FACTORS, **dict.fromkeys([*SHAPES][1:], FACTORS["z"])}
-    for name, unit in units.items():
+    for name, given in units.items():
         if name not in known:
             raise InputError(f"units names {name!r}; it can name {sorted(known)}.")
+        unit = usual_spelling(str(given))
         if unit not in known[name]:
-            raise InputError(f"Unknown unit {unit!r} of {name}; known are {list(known[name])}.")
+            raise InputError(f"Unknown unit {given!r} of {name}; known are {list(known[name])}.")
         if name not in SHAPES:
             stated[name] = unit
             continue
@@ -107,6 +108,13 @@ def in_cgs(name: str, values: Any, units: Mapping[str, str]) -> Any:
     if name == "area" and (shape := units.get("shape", "area")) != "area":
         return SHAPES[shape] * factor * values**2
     return factor * values
+
+
+def option_of(quantity: str, unit: str) -> str:
+    """Return the option that states a unit; areas in a unit of length are radii or diameters."""
+    if quantity == "area" and unit in FACTORS["z"]:
+        return f"--units radius={unit} for radii, or --units diameter={unit} for diameters"
+    return f"--units {quantity}={unit}"
 
 
 def usual_spelling(unit: str) -> str:

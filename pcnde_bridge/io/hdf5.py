@@ -13,7 +13,7 @@ from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
-from pcnde_bridge.data.units import FACTORS, QUANTITIES, stated_units, usual_spelling
+from pcnde_bridge.data.units import FACTORS, QUANTITIES, option_of, stated_units, usual_spelling
 from pcnde_bridge.data.variables import FIELDS, UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
@@ -120,6 +120,8 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
         unit = usual_spelling(text)
         if not unit or quantity in stated:
             continue
+        if quantity == "area" and unit in FACTORS["z"]:
+            raise InputError(f"{name} is in {unit}: pass {option_of(quantity, unit)}.")
         if unit not in FACTORS[quantity]:
             raise InputError(
                 f"{name} has the unknown unit {text!r}; known are {list(FACTORS[quantity])}. State "

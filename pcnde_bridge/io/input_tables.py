@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from pcnde_bridge.data.units import (
     FACTORS,
     SYSTEMS,
     in_cgs,
+    option_of,
     stated_units,
     usual_spelling,
 )
@@ -24,14 +25,15 @@ from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.waveform import Waveform
 from pcnde_bridge.io.tables import first_line, line_of, numbers, read_frame
 
+_Units: TypeAlias = str | Mapping[str, str] | None
 _SAME = 1e-6  # of a step, a range or an axis
 _AXES = {"time": ("time", "t"), "z": ("z", "x", "s", "distance", "position", "path")}
 _SPEEDS = "cm/s", "mm/s", "m/s"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
-def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
-    """Return the axis in the first column, and the columns of the cases.
+def _read(path: StrPath, axis: str, units: _Units) -> tuple[Array, pd.DataFrame]:
+    """Return the axis in the first column, and the columns of the cases; nothing is converted.
 
     Columns are separated by commas, by semicolons (with decimal commas or points) or by tabs.
     Files without names of columns have two columns of numbers, as the waveforms of openBF
@@ -49,12 +51,13 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     name, _, unit = str(frame.columns[0]).strip(" )]").replace("[", "(").partition("(")
     if frame.shape[1] < 2 or name.strip().lower() not in _AXES[axis]:
         raise InputError(f"{path} must have the columns {axis}, then one per case, not {[*frame]}.")
-    if unit and unit.strip() != SYSTEMS["cgs"][axis]:
-        raise InputError(
-            f"{path} gives {axis} in {unit}: call it {axis}, pass --units {axis}={unit}."
-        )
+    stated = stated_units(units)
+    if unit and (unit := usual_spelling(unit)) != stated.get(axis, SYSTEMS["cgs"][axis]):
+        known = f"known are {[*FACTORS[axis]]}"
+        advice = f"pass {option_of(axis, unit)}" if unit in FACTORS[axis] else known
+        raise InputError(f"{path} gives {axis} in {unit}: {advice}.")
     for column in frame.columns[1:]:
-        _check_unit(path, str(column), "flow" if axis == "time" else "area")
+        _check_unit(path, str(column), "flow" if axis == "time" else "area", stated)
     found = pd.DataFrame({name: numbers(path, frame[name]) for name in frame})
     values = found.iloc[:, 0].to_numpy()
     inwards = not (unnamed and Path(path).suffix.lower() == ".flow")
@@ -62,17 +65,20 @@ def _read(path: StrPath, axis: str) -> tuple[Array, pd.DataFrame]:
     return values, cases.rename(columns=lambda name: str(name).strip())
 
 
-def _check_unit(path: StrPath, column: str, quantity: str) -> None:
-    """Raise if the name of a column ends with a unit other than that in CGS, as Q (L/min)."""
+def _check_unit(path: StrPath, column: str, quantity: str, units: Mapping[str, str]) -> None:
+    """Raise if the name of a column ends with a unit other than the stated one, as Q (L/min)."""
     if (found := re.search(r"[(\[]([^()\[\]]+)[)\]]$", column.strip())) is None:
         return
     unit = usual_spelling(found[1])
     known = {*_SPEEDS, *(name for units in FACTORS.values() for name in units)}
-    if unit in known and FACTORS[quantity].get(unit) != 1:
-        raise InputError(
-            f"{path}, column {column}: {quantity} is expected. If it is, call it "
-            f"{column[: found.start()].strip()} and state its unit (--units {quantity}={unit})."
-        )
+    expected, possible = units.get(quantity, SYSTEMS["cgs"][quantity]), FACTORS[quantity]
+    if quantity == "area" and units.get("shape", "area") != "area":
+        expected, possible = expected.removesuffix("^2"), FACTORS["z"]
+    if unit not in known or possible.get(unit) == possible[expected]:
+        return
+    can_be = {*FACTORS[quantity], *(FACTORS["z"] if quantity == "area" else ())}
+    advice = f" If it is in {unit}, pass {option_of(quantity, unit)}." if unit in can_be else ""
+    raise InputError(f"{path}, column {column}: {quantity} in {expected} is expected.{advice}")
 
 
 def _rows(columns: pd.DataFrame) -> Array:
@@ -87,6 +93,7 @@ def read_cycle(
     period: float | None = None,
     time_points: int | None = None,
     any_period: bool = True,
+    units: _Units = None,
 ) -> tuple[float, pd.DataFrame]:
     """Read waveforms of one cycle, without its end point.
 
@@ -105,6 +112,8 @@ def read_cycle(
         Interpolate to this number of equal steps, by :meth:`Waveform.from_samples`.
     any_period : bool
         Whether the model accepts other periods, for messages.
+    units : str or mapping, optional
+        Stated units, which names of columns must not contradict; nothing is converted.
 
     Returns
     -------
@@ -122,7 +131,7 @@ def read_cycle(
         include the end point while no period is given, do not cover the period, or are not
         equally spaced while they are not to be interpolated.
     """
-    time, columns = _read(path, "time")
+    time, columns = _read(path, "time", units)
     if time.size < 2:
         raise InputError(f"{path} has {time.size} time points; a cycle needs more.")
     _check_sorted(path, "time", time)
@@ -202,13 +211,13 @@ def _period_of(path: StrPath, time: Array, usual: float, any_period: bool) -> fl
 
 
 def read_candidates(
-    inflow: StrPath, area: StrPath, period: float | None = None
+    inflow: StrPath, area: StrPath, period: float | None = None, units: _Units = None
 ) -> tuple[Array, Array, Grid]:
     """Read inflows and undeformed areas that are not paired.
 
     Parameters
     ----------
-    inflow, area, period
+    inflow, area, period, units
         As in :func:`read_inputs`; the time points must be equally spaced and start at 0.
 
     Returns
@@ -227,8 +236,8 @@ def read_candidates(
     InputError
         If a table is not usable.
     """
-    cycle, waveforms = read_cycle(inflow, 0.0, math.nan, period=period)
-    z, vessels = _read(area, "z")
+    cycle, waveforms = read_cycle(inflow, 0.0, math.nan, period=period, units=units)
+    z, vessels = _read(area, "z", units)
     _check_sorted(area, "z", z)
     if not (vessels > 0).all(axis=None):
         raise InputError(f"{area} must hold positive areas, in cm².")
@@ -249,7 +258,7 @@ def _is_closed(waveforms: Array, usual_length: bool) -> bool:
 
 
 def read_columns(
-    path: StrPath, axis: str, expected: Array, factor: float = 1.0, *, interpolate: bool = False
+    path: StrPath, axis: str, expected: Array, units: _Units = None, *, interpolate: bool = False
 ) -> pd.DataFrame:
     """Read one column for each case on the grid of a model.
 
@@ -261,8 +270,8 @@ def read_columns(
         ``"time"`` or ``"z"``.
     expected : array of shape (n,)
         Values that the axis must have.
-    factor : float
-        Unit of the file's axis, s or cm.
+    units : str or mapping, optional
+        Units of the file; only the axis is converted.
     interpolate : bool
         Bring columns that cover the same range to the grid, by monotone cubic interpolation.
 
@@ -278,8 +287,8 @@ def read_columns(
     InputError
         If a column is missing or not numeric, or the axis has other values.
     """
-    found, columns = _read(path, axis)
-    found, unit = factor * found, SYSTEMS["cgs"][axis]
+    found, columns = _read(path, axis, units)
+    found, unit = in_cgs(axis, found, stated_units(units)), SYSTEMS["cgs"][axis]
     covered = f"from {expected[0]:g} to {expected[-1]:g} {unit}"
     if found.size and (hint := _other_unit(axis, np.ptp(found), np.ptp(expected))):
         raise InputError(f"{path} has {axis} up to {found[-1]:g}; the model works {covered}.{hint}")
@@ -398,19 +407,19 @@ def read_inputs(
     """
     where: dict[str, Any] = {}
     stated = stated_units(units)
-    factor = {name: in_cgs(name, 1.0, stated) for name in _AXES}
-    start, usual_period = grid.time[0] / factor["time"], grid.period / factor["time"]
+    second = in_cgs("time", 1.0, stated)
+    start, usual_period = grid.time[0] / second, grid.period / second
     if any_grid or interpolate or period is not None:
         count = grid.time.size if interpolate else None
-        given = None if period is None else period / factor["time"]
+        given = None if period is None else period / second
         if not (any_grid or period is None or math.isclose(period, grid.period, rel_tol=1e-6)):
             raise InputError(f"--period is {period:g} s, but {_only_period(grid.period)}.")
-        options: dict[str, Any] = {"time_points": count, "any_period": any_grid}
+        options: dict[str, Any] = {"time_points": count, "any_period": any_grid, "units": units}
         found, q = read_cycle(inflow, start, usual_period, period=given, **options)
         if any_grid:
             where["period"] = found
         elif not math.isclose(found, usual_period, rel_tol=1e-6):
-            found *= factor["time"]
+            found *= second
             raise InputError(f"{inflow} covers {found:g} s, but {_only_period(grid.period)}.")
         elif len(q) != grid.time.size:
             raise InputError(
@@ -418,12 +427,12 @@ def read_inputs(
                 f"{grid.time.size}: pass --interpolate."
             )
     else:
-        q = read_columns(inflow, "time", grid.time, factor["time"])
+        q = read_columns(inflow, "time", grid.time, units)
     if any_grid:
-        where["z"], s_u = _read(area, "z")
+        where["z"], s_u = _read(area, "z", units)
         _check_sorted(area, "z", where["z"])
     else:
-        s_u = read_columns(area, "z", grid.z, factor["z"], interpolate=interpolate)
+        s_u = read_columns(area, "z", grid.z, units, interpolate=interpolate)
     by_inflow, by_area = ([str(name) for name in table.columns] for table in (q, s_u))
     if min(len(by_inflow), len(by_area)) > 1:
         folded = {name.casefold(): name for name in by_inflow}

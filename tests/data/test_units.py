@@ -18,6 +18,8 @@ from pcnde_bridge.errors import InputError
         ({"radius": "mm"}, {"area": "mm^2", "shape": "radius"}),
         ({"diameter": "cm", "z": "mm"}, {"area": "cm^2", "shape": "diameter", "z": "mm"}),
         ("cgs,area=cm^2", {**SYSTEMS["cgs"], "shape": "area"}),
+        ("CGS, area=cm2", {**SYSTEMS["cgs"], "shape": "area"}),
+        ({"flow": "ml/min", "pressure": "dyn/cm²"}, {"flow": "mL/min", "pressure": "dyn/cm^2"}),
         ("mm-g-s,radius=m", {**SYSTEMS["mm-g-s"], "area": "m^2", "shape": "radius"}),
     ],
 )

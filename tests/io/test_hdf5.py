@@ -74,6 +74,13 @@ def test_units_may_be_spelled_otherwise(vessel, file, name, unit):
     assert read_hdf5(file(name, unit)) == to_cases([vessel])
 
 
+def test_areas_in_a_unit_of_length_are_radii_or_diameters(file):
+    with pytest.raises(
+        InputError, match=r"area is in mm: pass --units radius=mm .*diameter=mm for"
+    ):
+        read_hdf5(file("area", "mm"))
+
+
 def test_units_of_the_caller_count_before_those_of_the_file(vessel, file):
     path = file("flow", "ccm per second")
     with pytest.raises(

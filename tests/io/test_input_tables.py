@@ -279,13 +279,13 @@ def test_columns_are_paired_by_names_in_any_case_and_with_blanks(tmp_path, names
 @pytest.mark.parametrize(
     ("axis", "column", "message"),
     [
-        ("time", "a (L/min)", r"call it a and state its unit \(--units flow=L/min\)"),
-        ("time", "Q [ml/min]", r"call it Q and .*--units flow=mL/min"),
-        ("time", "Q (cm/s)", r"column Q \(cm/s\): flow is expected"),
+        ("time", "a (L/min)", r"flow in mL/s is expected.*pass --units flow=L/min\."),
+        ("time", "Q [ml/min]", r"pass --units flow=mL/min\."),
+        ("time", "Q (cm/s)", r"column Q \(cm/s\): flow in mL/s is expected\.$"),
         ("time", "patient (1)", None),
         ("time", "Q (cm³/s)", None),
-        ("z", "S (mm2)", r"call it S and .*--units area=mm\^2"),
-        ("z", "d (mm)", r"column d \(mm\): area is expected"),
+        ("z", "S (mm2)", r"pass --units area=mm\^2\."),
+        ("z", "d (mm)", r"area in cm\^2 is expected.*--units radius=mm .*diameter=mm "),
     ],
 )
 def test_units_in_the_names_of_columns(tmp_path, axis, column, message):
@@ -296,6 +296,37 @@ def test_units_in_the_names_of_columns(tmp_path, axis, column, message):
         return
     with pytest.raises(InputError, match=message):
         read_columns(tmp_path / "a.csv", axis, expected)
+
+
+def test_units_in_names_that_are_stated(tmp_path):
+    both = tmp_path / "q.csv", tmp_path / "s.csv"
+
+    def read(time, flow, z, area, units):
+        pd.DataFrame({time: 1000 * GRID.time, flow: 60.0}).to_csv(both[0], index=False)
+        pd.DataFrame({z: 10 * GRID.z, area: 3.0}).to_csv(both[1], index=False)
+        for any_grid in (False, True):
+            found = read_inputs(*both, GRID, any_grid=any_grid, units=units)
+            assert (found.inflow == 60.0).all()
+            assert (found.area_undeformed == 3.0).all()
+
+    units = "time=ms,flow=mL/min,z=mm,"
+    for area, stated in (
+        ("S (mm²)", "area=mm2"),
+        ("radius (mm)", "radius=mm"),
+        ("d", "diameter=mm"),
+    ):
+        read("time (ms)", "Q (mL/min)", "z (mm)", area, units + stated)
+    for names, message in (
+        (("time (s)", "Q", "z", "S"), r"gives time in s: pass --units time=s\."),
+        (("time", "Q", "z (inch)", "S"), r"gives z in inch: known are \['cm', 'mm', 'm'\]"),
+        (("time", "Q (mL/s)", "z", "S"), r"flow in mL/min is expected. If it is in mL/s, pass"),
+        (("time", "Q", "z", "S (cm^2)"), r"area in mm\^2 is expected. If it is in cm\^2, pass"),
+        (("time", "Q", "z", "S (mm)"), "--units radius=mm for radii, or --units diameter=mm for"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(*names, units + "area=mm^2")
+    with pytest.raises(InputError, match=r"area in mm is expected. If it is in mm\^2, pass"):
+        read("time", "Q", "z", "S (mm2)", units + "radius=mm")
 
 
 @pytest.mark.parametrize("period", [0.8, 1.0, 1.1])
