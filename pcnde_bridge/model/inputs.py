@@ -34,6 +34,7 @@ from pcnde_bridge.uncertainty.sampling import RandomNumbers
 
 # pandas takes longer to create this index than an engine to predict a case.
 _CASE = pd.Index(["case"])
+_LONGEST_CYCLE = 3.0  # s, 20 beats in a minute
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,12 @@ def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -
         shapes = _shapes(novelty, inflow, area, grid.z, stated)
     # Without pressures, nothing else tells areas from radii.
     check_units(sizes, stated, unique=True, shapes={"area"} if "area" in stated else shapes)
+    if "time" not in stated and grid.period > _LONGEST_CYCLE:
+        raise InputError(
+            f"The period is {grid.period:g} s; a cycle usually has 0.25 to {_LONGEST_CYCLE:g} s. "
+            "Give the length of one cycle, not the heart rate; if it is right, state time=s among "
+            "the units (--units time=s)."
+        )
 
 
 def _shapes(

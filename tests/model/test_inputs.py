@@ -156,6 +156,14 @@ def test_a_period_in_milliseconds_is_found_for_a_steady_inflow(physics_model, ph
     assert np.array_equal(found.time, np.arange(32) / 32)
 
 
+def test_a_heart_rate_is_no_period(check):
+    for time in (3.01, 60.0):
+        with pytest.raises(InputError, match=rf"The period is {time:g} s.*not the heart rate"):
+            check(time=time)
+        assert check(time=time, units="time=s").grid.period == time
+    assert check(time=3.0).grid.period == 3.0
+
+
 def test_several_cycles_are_no_cycle(physics_model, physics_cases):
     inflow, area = physics_cases.inflow[0], physics_cases.area_undeformed[0]
     for count in (2, 3):
