@@ -8,6 +8,8 @@ import time
 
 import numpy as np
 
+from pcnde_bridge._utils import workers
+
 
 def work(seed):
     """Return a result that depends on every bit of the seed's random numbers."""
@@ -61,3 +63,8 @@ def slowly(task):
     (folder / f"{os.getpid()}-{seed}").touch()
     time.sleep(0.3)
     return work(seed)
+
+
+def held_parts():
+    """Return how many parts this worker process holds."""
+    return sum(map(len, workers._held.values()))

@@ -56,8 +56,10 @@ def convert(
     Ambiguous files are rejected with a suggested fix.
     """
     from pcnde_bridge import io
+    from pcnde_bridge.data.units import stated_units
 
     _check_data_set(out, files)
+    stated_units(units)  # an unknown unit is reported before the files are read
     of_format: dict[str, dict[str, Any]] = {
         "simvascular": {"time_step": time_step, "branch": branch, "rigid": rigid or None},
         "sv1d": {"segments": None if segments is None else segments.split(",")},

@@ -145,8 +145,6 @@ def predict(
         interpolate=interpolate,
     )
     inputs = given.inflow, given.area_undeformed
-    areas = in_cgs("area", given.area_undeformed, stated_units(units))
-    say(summary(given.where.get("z", fitted.grid.z), areas))
     settings: dict[str, Any] = {"units": units, "samples": samples, **given.where}
     settings["outlet"] = outlet_of(outlet)
     tables: list[pd.DataFrame] = []
@@ -165,6 +163,8 @@ def predict(
         prediction = named(fitted.predict(*inputs, **settings))
         files, count = prediction.save(out), len(prediction)
     place = out if out in files else f"{files[0]} to {files[-1].name}"
+    areas = in_cgs("area", given.area_undeformed, stated_units(units))
+    say(summary(given.where.get("z", fitted.grid.z), areas))
     say(f"Saved {counted(count, 'case')} in {place}.")
     if indices is not None:
         write_csv(indices, pd.concat(tables), index=False)

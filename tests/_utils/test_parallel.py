@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from parallel_tasks import fail_until, kill_once, nproc, sleep_unless_last, slowly, work
+from parallel_tasks import fail_until, held_parts, kill_once, nproc, sleep_unless_last, slowly, work
 
 from pcnde_bridge import (
     FileError,
@@ -20,7 +20,6 @@ from pcnde_bridge import (
     SolveError,
     TaskError,
 )
-from pcnde_bridge._utils import workers as workers_module
 from pcnde_bridge._utils.archive import read_archive, write_archive
 from pcnde_bridge._utils.parallel import (
     Outcome,
@@ -246,12 +245,8 @@ def test_dask_workers_hold_their_parts(client):
         held = Parts([partial(pow, 2), partial(pow, 3), partial(pow, 4)], workers)
         assert held(2) == [4, 9, 16]
         assert held(3) == [8, 27, 64]
-        assert sorted(client.run(_count).values()) == [1, 2]
-    assert sorted(client.run(_count).values()) == [0, 0]
-
-
-def _count():
-    return sum(map(len, workers_module._held.values()))
+        assert sorted(client.run(held_parts).values()) == [1, 2]
+    assert sorted(client.run(held_parts).values()) == [0, 0]
 
 
 def test_dask_with_a_worker_killed_midway_gives_the_same(client, serial, tmp_path):

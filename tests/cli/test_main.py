@@ -611,7 +611,8 @@ def test_files_may_have_any_name(folder, tmp_path, run, small_cases, toy_engine,
         "predict", model, "--inflow", folder / "inflow.csv", "--area", folder / "area.csv",
         "--out", table,
     )  # fmt: skip
-    assert (code, printed) == (0, f"Saved 1 case in {table}.\n")
+    assert code == 0
+    assert printed.endswith(f".\nSaved 1 case in {table}.\n")
     small_cases.select([0]).save(tmp_path / "one.h5")
     code, printed, _ = run("convert", tmp_path / "one.h5", "--from", "hdf5", "--out", cases)
     assert code == 0

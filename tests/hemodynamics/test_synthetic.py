@@ -253,7 +253,9 @@ def test_simulate(run, solved, tmp_path, cases):
     options = ("--geometries", 2, "--waveforms", 3, "--seed", 1)
     code, out, _ = run("simulate", "--out", file, *options)
     assert code == 0
-    assert out.startswith("Saved Cases(6 cases")
+    assert out.startswith(
+        "Vessels: healthy diameter 4 mm, blockage 40% to 85%.\nSaved Cases(6 cases"
+    )
     assert Cases.load(file) == cases
     tube, vessels, waveforms, *_ = solved[0]
     assert (len(vessels), len(waveforms), tube) == (2, 3, Tube1D())

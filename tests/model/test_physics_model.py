@@ -290,7 +290,7 @@ def test_finer_grids_give_the_same_result(model, prediction):
 def test_longer_period_stores_less_on_the_way(model):
     fast = model.predict(INFLOW, AREA)
     with pytest.warns(OutsideTrainingWarning, match=r"in frequency \(score 9.00"):
-        slow = model.predict(INFLOW, AREA, period=10.0)
+        slow = model.predict(INFLOW, AREA, period=10.0, units="cgs")
     assert slow.novelty == pytest.approx(9.0)
     assert slow.period == 10.0
     assert slow.time[1] == 10 / 32
