@@ -75,6 +75,10 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
                 f"Unknown units {units!r}; give one of {sorted(SYSTEMS)}, or a mapping such as "
                 "{'pressure': 'mmHg'}."
             )
+        if not all(all(pair.partition("=")) for pair in pairs):
+            raise InputError(
+                f"units= or --units must look like flow=mL/s,pressure=mmHg, got {units!r}."
+            )
         units = dict(pair.partition("=")[::2] for pair in pairs)
     known = {**FACTORS, **dict.fromkeys([*SHAPES][1:], FACTORS["z"])}
     for name, given in units.items():
