@@ -46,7 +46,9 @@ def read_dataset(group: Any, name: str, budget: Budget | None = None) -> AnyArra
         return None
     if at.external or at.is_virtual:
         raise ValueError(f"{name} is stored in another file; external links are not followed")
-    if at.nbytes >= SMALLEST_MAP and at.chunks is None and at.dtype == np.dtype("<f8"):
+    # In one piece, and written: the offset of one that is not is meaningless.
+    stored = at.chunks is None and at.id.get_storage_size() == at.nbytes
+    if stored and at.nbytes >= SMALLEST_MAP and at.dtype == np.dtype("<f8"):
         return map_dataset(at)
     # Numbers become 8 bytes each; a whole chunk is unpacked for each value.
     budget = budget or Budget(Path(group.file.filename).stat().st_size)
@@ -67,7 +69,7 @@ def map_dataset(at: Any, mode: Literal["r", "r+"] = "r") -> np.memmap[Any, Any]:
     ValueError
         If the file is shorter than the data set.
     """
-    return np.memmap(at.file.filename, at.dtype, mode, at.id.get_offset() or 0, at.shape)
+    return np.memmap(at.file.filename, at.dtype, mode, at.id.get_offset(), at.shape)
 
 
 def create_dataset(file: Any, name: str, shape: tuple[int, ...]) -> None:

@@ -164,7 +164,7 @@ def run(
     tasks : mapping
         Tasks by name, for messages and files: up to 200 letters, digits, spaces and
         ``._,=+-``.
-    executor : Executor, int, or the result of :func:`processes`, optional
+    executor : Executor, int, distributed.Client, or the result of :func:`processes`, optional
         A number is that of :func:`processes` on this machine.  None runs the tasks one after
         the other in this process.  Prefer a number to a pool: a pool is unusable after one of
         its processes died.
@@ -207,13 +207,13 @@ def run(
             raise InputError(
                 f"{name!r} cannot name a task: use up to 200 letters, digits, spaces and '._,=+-'."
             )
-    executor = processes(executor) if isinstance(executor, int) else executor
+    workers = _workers(executor)
     stored = None if folder is None else ResultFolder(folder, facts or {})
     found = {name: None if stored is None else stored.read(name) for name in tasks}
     results: dict[str, Any] = {name: r for name, r in found.items() if r is not None}
     failures: dict[str, str] = {}
     missing = {name: task for name, task in tasks.items() if name not in results}
-    finished = _finished(function, missing, executor, retries)
+    finished = _finished(function, missing, workers, retries)
     silent = contextlib.nullcontext(lambda name, failure: None)
     shown = TaskProgress(len(tasks), len(results)) if progress else silent
     # Closed explicitly: an error's traceback keeps the generator, and so the pool, alive.
@@ -301,6 +301,16 @@ def _finished(
             pools: list[Any] = [*free, *(pool for _, pool in running.values())]
             for pool in pools:
                 pool.shutdown(kill_workers=True)
+
+
+def _workers(executor: Any) -> Executor | Processes | None:
+    """Return the workers of a number of processes, of a dask client, or those that are given."""
+    if isinstance(executor, int):
+        return processes(executor)
+    found: Executor | Processes | None = (
+        executor.get_executor() if hasattr(executor, "get_executor") else executor
+    )
+    return found
 
 
 def _pools(executor: Executor | Processes | None, most: int) -> list[Executor | None]:

@@ -46,11 +46,10 @@ def summary(z: Array, area_undeformed: Array) -> str:
     area_undeformed : array of shape (case, z)
         S_u, cm².
     """
-    points, ratios = throats(z, area_undeformed)
-    healthy = healthy_area(z, area_undeformed)[np.arange(len(points)), points]
+    healthy, narrow = areas_at_throats(z, area_undeformed)
     ends_of = [
         dict.fromkeys(f"{limit:{form}}" for limit in (values.min(), values.max()))
-        for values, form in ((10 * diameter(healthy), ".3g"), (1 - ratios, ".0%"))
+        for values, form in ((10 * diameter(healthy), ".3g"), (1 - narrow / healthy, ".0%"))
     ]
     of_healthy, of_blockage = (" to ".join(limits) for limits in ends_of)
     return f"Vessels: healthy diameter {of_healthy} mm, blockage {of_blockage}."
@@ -75,6 +74,21 @@ def throats(z: Array, area_undeformed: Array) -> tuple[npt.NDArray[np.intp], Arr
     """
     ratio = area_undeformed / healthy_area(z, area_undeformed)
     return ratio.argmin(axis=1), ratio.min(axis=1)
+
+
+def areas_at_throats(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
+    """Return the healthy area S_D and S_u at the throats, cm², each of shape (case,).
+
+    Parameters
+    ----------
+    z : array of shape (z,)
+        Axial positions, cm.
+    area_undeformed : array of shape (case, z)
+        S_u, cm².
+    """
+    points, ratios = throats(z, area_undeformed)
+    healthy = healthy_area(z, area_undeformed)[np.arange(len(points)), points]
+    return healthy, ratios * healthy
 
 
 def ends(z: Array, area_undeformed: Array) -> tuple[Array, Array]:
@@ -140,8 +154,7 @@ def measuring_positions(z: Array, area_undeformed: Array) -> tuple[Array, Array]
     proximal, distal : array of shape (case,)
         Positions upstream and downstream of the stenosis.
     """
-    points, _ = throats(z, area_undeformed)
-    healthy = healthy_area(z, area_undeformed)[np.arange(len(points)), points]
+    healthy, _ = areas_at_throats(z, area_undeformed)
     start, end = ends(z, area_undeformed)
     margin = diameter(healthy)
     return np.maximum(z[0], start - margin), np.minimum(z[-1], end + margin)

@@ -24,7 +24,7 @@ from pcnde_bridge._utils.validation import whole
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_grid
 from pcnde_bridge.data.indices import poiseuille_wall_shear_stress, pressure_drop
-from pcnde_bridge.data.stenosis import check_length, healthy_area, measuring_positions, throats
+from pcnde_bridge.data.stenosis import areas_at_throats, check_length, measuring_positions, throats
 from pcnde_bridge.engines.shared_terms import rate as rate_of
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import pressure_losses
@@ -364,9 +364,8 @@ class DropRegression:
 
 def _areas(cases: Cases) -> tuple[Array, Array]:
     """Return the healthy area S_D at the throat and the throat's S_s, cm², each (case, 1)."""
-    points, ratios = throats(cases.z, cases.area_undeformed)
-    healthy = healthy_area(cases.z, cases.area_undeformed)[np.arange(len(cases)), points]
-    return healthy[:, None], (ratios * healthy)[:, None]
+    healthy, throat = areas_at_throats(cases.z, cases.area_undeformed)
+    return healthy[:, None], throat[:, None]
 
 
 def _elements(cases: Cases) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from pcnde_bridge._utils.validation import (
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
 from pcnde_bridge.data.plausibility import check_units, input_sizes
-from pcnde_bridge.data.single_vessel import check_samples
+from pcnde_bridge.data.single_vessel import check_samples, equal_cycles
 from pcnde_bridge.data.units import FACTORS, SHAPES, in_cgs, stated_units
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
@@ -174,8 +174,8 @@ def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -
     chosen : array of bool, shape (case,)
         Cases outside the training data.
     novelty : Novelty or None
-        Measure of the distance from the training data.  Radii and diameters that are much
-        farther from these than areas are not what is meant.
+        Measure of the distance from the training data.  Readings as radii or diameters that
+        are much farther from it than areas are ignored.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -
 def _shapes(
     novelty: Novelty, inflow: Array, area: Array, z: Array, stated: Mapping[str, str]
 ) -> set[str]:
-    """Return what areas can be: about as near to the training data as the nearest reading.
+    """Return the readings of the areas that are about as near to the training data as the nearest.
 
     Raises
     ------
@@ -309,16 +309,13 @@ def _check_open(inflow: Array) -> None:
 
 def _check_single(inflow: Array) -> None:
     """Raise if inflows, (case, time), have several equal cycles."""
-    size = np.ptp(inflow, axis=1, keepdims=True)
-    for count in range(2, 6):
-        steps, rest = divmod(inflow.shape[1], count)
-        repeated = np.abs(inflow - np.roll(inflow, steps, axis=1)) < 0.01 * size
-        if rest == 0 and repeated.all():
-            raise InputError(
-                f"The inflow repeats itself {count} times: give one cycle, inflow[..., :{steps}]. "
-                "If it is one, pass period= (--period) to a model of the preset physics, or "
-                "units='cgs' (--units cgs)."
-            )
+    if (count := equal_cycles(inflow.T)) > 1:
+        steps = inflow.shape[1] // count
+        raise InputError(
+            f"The inflow repeats itself {count} times: give one cycle, inflow[..., :{steps}]. "
+            "If it is one, pass period= (--period) to a model of the preset physics, or "
+            "units='cgs' (--units cgs)."
+        )
 
 
 def _rows(name: str, array: Array, length: int, noun: str) -> Array:

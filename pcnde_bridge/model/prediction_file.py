@@ -67,9 +67,8 @@ def predict_to_file(
         :meth:`pcnde_bridge.Cases.indices` and the ``novelty`` of each case in any case.
     batch : int
         Number of cases in each batch.
-    executor : Executor or int, optional
-        Workers, such as a number of processes or those of a dask client,
-        ``client.get_executor()``; they must reach the file.
+    executor : Executor, int or distributed.Client, optional
+        Workers, such as a number of processes or a dask client; they must reach the file.
     progress : bool
         Whether to show progress.
     **options
@@ -105,7 +104,7 @@ def predict_to_file(
     count = max(len(q), len(s_u))
     if not {len(q), len(s_u)} <= {1, count}:
         raise InputError(f"inflow has {len(q)} cases and area_undeformed {len(s_u)}.")
-    facts: dict[str, Any] = {"fields": fields, "batch": size, "options": repr(options)}
+    facts: dict[str, Any] = {"fields": fields, "batch": size, "options": _facts_of(options)}
     table = label_arrays(check_labels(labels, np.broadcast_to(s_u, (count, s_u.shape[1]))))
     facts["labels"] = sha256_arrays(table)
     facts["inputs"] = sha256_arrays({"inflow": q, "area_undeformed": s_u})
@@ -141,6 +140,16 @@ def predict_to_file(
         if number:
             warnings.warn(f"{number} of {counted(count, 'case')} {what}.", PCNDEWarning, 2)
     return failed
+
+
+def _facts_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options by their values; the representation of an outlet does not show them all."""
+    facts = dict(options)
+    if (z := options.get("z")) is not None:
+        facts["z"] = np.ravel(z).tolist()
+    if (outlet := options.get("outlet")) is not None:
+        facts["outlet"] = outlet.to_dict()
+    return facts
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ _GOLDEN_RATIO = (1 + 5**0.5) / 2
 
 
 @dataclass
-class Part(ABC):
+class ClosurePart(ABC):
     """Residual of one closure on a range of cases.
 
     Attributes
@@ -100,7 +100,7 @@ class Part(ABC):
 
 
 @dataclass
-class _Losses(Part):
+class _Losses(ClosurePart):
     """p − p(L) with the reference flow, and the drop across the stenosis."""
 
     flow: Array
@@ -129,7 +129,7 @@ class _Losses(Part):
 
 
 @dataclass
-class _Wall(Part):
+class _Wall(ClosurePart):
     """S with the reference pressure."""
 
     pressure: Array
@@ -140,7 +140,7 @@ class _Wall(Part):
 
 
 @dataclass
-class _Flow(Part):
+class _Flow(ClosurePart):
     """Q at some points, with all closures coupled."""
 
     inflow: Array
@@ -211,7 +211,7 @@ def hold_cases(
     square = np.empty(len(cases))
     points = np.unique(np.linspace(0, cases.n_points - 1, _FLOW_POINTS + 1).astype(int)[1:])
 
-    def part(rows: slice, of: Cases) -> Part:
+    def part(rows: slice, of: Cases) -> ClosurePart:
         def common(target: Array) -> tuple[Closures, ClosureConfig, Grid, slice, Array, Array]:
             return closures, config, of.grid, rows, target, of.area_undeformed
 
@@ -225,7 +225,7 @@ def hold_cases(
         fields = at_times(of.flow, times), at_times(flow_rate(of), times)
         return _Losses(*common(pressure - pressure[..., -1:]), *fields)
 
-    def parts() -> Iterator[Part]:
+    def parts() -> Iterator[ClosurePart]:
         for rows, of in cases.batches(LARGEST_PART):
             made = part(rows, of)
             square[rows] = (made.target**2).sum(axis=(1, 2))

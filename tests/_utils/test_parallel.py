@@ -236,8 +236,9 @@ def client():
 
 
 def test_dask_gives_the_same(client, serial):
-    outcome = run(work, SEEDS, executor=client.get_executor(), progress=False)
-    assert same(outcome.check(), serial)
+    for executor in (client, client.get_executor()):
+        outcome = run(work, SEEDS, executor=executor, progress=False)
+        assert same(outcome.check(), serial)
 
 
 def test_dask_workers_hold_their_parts(client):

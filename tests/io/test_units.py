@@ -43,6 +43,14 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
     if isinstance(units, dict):
         listed = ", ".join(f"{name} in {units[name]}" for name in FACTORS if name in units)
         assert f"with {listed}" in str(caught.value)
+        # Where it is stated that areas are areas, only one mix of the other units is usual.
+        area, others = units.get("area", "cm^2"), {**units}
+        others.pop("area", None)
+        if others:
+            with pytest.raises(InputError) as caught:
+                to_cases([other], units={"area": area})
+            advice = ",".join(f"{name}={others[name]}" for name in FACTORS if name in others)
+            assert f"--units {advice})" in str(caught.value)
     found = to_cases([other], units=units)
     expected = to_cases([vessel])
     for name in (*FIELDS, "area_undeformed", "time", "z"):

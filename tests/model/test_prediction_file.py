@@ -10,6 +10,7 @@ import pytest
 
 from pcnde_bridge import load_cases
 from pcnde_bridge.errors import FileError, InputError, PCNDEWarning, SolveError, TaskError
+from pcnde_bridge.hemodynamics import Waveform, Windkessel
 from pcnde_bridge.model import prediction_file as module
 from pcnde_bridge.model.prediction_file import predict_to_file
 
@@ -72,6 +73,29 @@ def test_an_interrupted_run_is_continued(physics_model, inputs, path, monkeypatc
     assert calls == [0, 3, 6, 6]
     expected = physics_model.predict(*inputs).flow
     np.testing.assert_allclose(load_cases(path).flow, expected, rtol=1e-12)
+
+
+def test_a_file_for_another_outlet_is_not_continued(physics_model, inputs, path, monkeypatch):
+    """Outlets whose representations are the same."""
+
+    predict = module._predict
+
+    def fails(batch):
+        if batch.start > 0:
+            raise InputError("no")
+        return predict(batch)
+
+    outlets = [Windkessel(9e4, distal_pressure=Waveform(1e4, (p,), (0.0,))) for p in (5e3, 6e3)]
+    assert repr(outlets[0]) == repr(outlets[1])
+    options = {"batch": 4, "progress": False}
+    with monkeypatch.context() as patched, pytest.raises(TaskError, match="no"):
+        patched.setattr(module, "_predict", fails)
+        predict_to_file(physics_model, path, *inputs, outlet=outlets[0], **options)
+    with pytest.raises(InputError, match="result of other tasks"):
+        predict_to_file(physics_model, path, *inputs, outlet=outlets[1], **options)
+    predict_to_file(physics_model, path, *inputs, outlet=outlets[0], **options)
+    expected = physics_model.predict(*inputs, outlet=outlets[0]).pressure
+    np.testing.assert_allclose(load_cases(path).pressure, expected, rtol=1e-12)
 
 
 def test_cases_that_fail_are_nan_and_named(physics_model, inputs, path, monkeypatch):
