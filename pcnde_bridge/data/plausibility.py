@@ -11,7 +11,7 @@ import numpy as np
 
 from pcnde_bridge._typing import Array
 from pcnde_bridge.data.balances import growth_of_volume, momentum
-from pcnde_bridge.data.units import FACTORS, SHAPES, SYSTEMS
+from pcnde_bridge.data.units import FACTORS, SHAPES, SYSTEMS, stated_units, text_of
 from pcnde_bridge.errors import InputError
 
 _VISCOSITY = 0.0377  # kinematic, cm²/s; 0.04 dyn·s/cm² over 1.06 g/cm³
@@ -186,13 +186,8 @@ class UnitsError(InputError):
         self.problem = problem
 
 
-_PASS = "pass units={} (--units {})"
-_CGS = _PASS.format("'cgs'", "cgs")
 _HINT = " (radii or diameters in place of areas?)"
-_STATE_SHAPE = (
-    "state the units (--units), with area=cm^2 for areas, radius=mm for radii, and diameter=mm "
-    "for diameters"
-)
+_STATE_SHAPE = ", with area=cm^2 for areas, radius=mm for radii, and diameter=mm for diameters"
 
 
 def check_units(
@@ -231,7 +226,7 @@ def check_units(
         raise UnitsError(
             f"the mean pressure is {sizes['pressure'].min():.4g}, but pressures must be relative "
             "to the surroundings",
-            f"if these are, {_CGS}",
+            f"if these are, {_pass(stated, 'cgs')}",
         )
     by_system = "area" in stated and "shape" not in stated
     doubts: list[str] = []
@@ -255,23 +250,25 @@ def check_units(
     if others or (doubts and not by_system):
         text = "; ".join([*doubts, *explained] if others else doubts)
         text += _HINT * bool(text and of_doubt)
-        raise _units_error(text, others, open_, by_system)
+        raise _units_error(text, others, open_, stated)
 
 
 def _units_error(
     doubts: str,
     others: Sequence[Mapping[str, str]],
     open_: Collection[str],
-    by_system: bool,
+    stated: Mapping[str, str],
 ) -> UnitsError:
     """Return the error for numbers that are unusual, or usual in other units, too."""
     has_shapes = any("radius" in units or "diameter" in units for units in others)
-    cgs = _PASS.format("'cgs,area=cm^2'", "cgs,area=cm^2") if has_shapes else _CGS
-    listed = _listed(others)
-    state = _STATE_SHAPE if has_shapes else "state the units (--units)"
+    areas = {"area": stated.get("area", "cm^2"), "shape": "area"} if has_shapes else {}
+    cgs = _pass({**stated, **areas}, "cgs")
+    listed, known = _listed(others), text_of(stated)
+    state = f"state the units (--units{f' {known},…' * bool(known)}){_STATE_SHAPE * has_shapes}"
+    rest = "the others" if known else "they"
     if not doubts:
         problem = f"the units are ambiguous: the numbers are usual in CGS units, and with {listed}"
-        return UnitsError(problem, f"{state}; if they are CGS, {cgs}")
+        return UnitsError(problem, f"{state}; if {rest} are CGS, {cgs}")
     problem = f"does not look like CGS units (cm, s, mL/s, cm², dyn/cm²): {doubts}"
     usual = f"All numbers are usual with {listed}"
     if not others:
@@ -280,8 +277,8 @@ def _units_error(
             "correct the numbers, such as radii or diameters in place of areas, a reversed vessel, "
             "or pressures relative to the outlet"
         )
-    elif len(others) == 1 and not by_system:
-        state = _stated(others[0], open_)
+    elif len(others) == 1 and open_:
+        state = _stated(others[0], open_, stated)
     return UnitsError(f"this {problem}. {usual}", f"{state}, or {cgs} if they are right")
 
 
@@ -319,15 +316,20 @@ def _readings(
     return [units for units in found if units]
 
 
-def _stated(units: Mapping[str, str], open_: Collection[str]) -> str:
-    """Return the advice to state units."""
+def _stated(units: Mapping[str, str], open_: Collection[str], stated: Mapping[str, str]) -> str:
+    """Return the advice to state units beside those that are stated."""
     for name, system in SYSTEMS.items():
         if (
             all(FACTORS[n][system[n]] == FACTORS[n][units.get(n, SYSTEMS["cgs"][n])] for n in open_)
             and not units.keys() - FACTORS.keys()
         ):
-            return _PASS.format(repr(name), name)
-    return _PASS.format(units, ",".join(f"{name}={unit}" for name, unit in units.items()))
+            return _pass(stated, name)
+    return _pass({**stated, **stated_units(units)})
+
+
+def _pass(units: Mapping[str, str], system: str = "") -> str:
+    text = text_of(units, system)
+    return f"pass units={text!r} (--units {text})"
 
 
 def _listed(readings: Sequence[Mapping[str, str]]) -> str:

@@ -114,11 +114,39 @@ def in_cgs(name: str, values: Any, units: Mapping[str, str]) -> Any:
     return factor * values
 
 
-def option_of(quantity: str, unit: str) -> str:
-    """Return the option that states a unit; areas in a unit of length are radii or diameters."""
+def text_of(stated: Mapping[str, str], system: str = "") -> str:
+    """Return the text that states units, the inverse of :func:`stated_units`.
+
+    Parameters
+    ----------
+    stated : mapping of str to str
+        Units by quantity and the shape of an area.  Empty units are known and not stated.
+    system : str
+        System that states further units.
+    """
+    pairs = {name: unit for name, unit in stated.items() if unit and name != "shape"}
+    shape = stated.get("shape")
+    if pairs.keys() >= FACTORS.keys():  # areas without a shape have the unit of their system
+        named = {n: s for n, s in SYSTEMS.items() if shape or s["area"] == pairs["area"]}
+        system = max(named, key=lambda name: len(named[name].items() & pairs.items()))
+    parts = [system] * bool(system)
+    for name, unit in pairs.items():
+        if name == "area" and shape:
+            parts.append(f"{shape}={unit if shape == 'area' else unit.removesuffix('^2')}")
+        elif SYSTEMS.get(system, {}).get(name) != unit:
+            parts.append(f"{name}={unit}")
+    return ",".join(parts)
+
+
+def option_of(stated: Mapping[str, str], quantity: str, unit: str) -> str:
+    """Return the option that states a unit beside others, which are stated already.
+
+    Areas in a unit of length are radii or diameters.
+    """
     if quantity == "area" and unit in FACTORS["z"]:
-        return f"--units radius={unit} for radii, or --units diameter={unit} for diameters"
-    return f"--units {quantity}={unit}"
+        radius, diameter = (option_of(stated, shape, unit) for shape in ("radius", "diameter"))
+        return f"{radius} for radii, or {diameter} for diameters"
+    return f"--units {text_of({**stated, **stated_units({quantity: unit})})}"
 
 
 def usual_spelling(unit: str) -> str:

@@ -13,7 +13,14 @@ from pcnde_bridge._utils.hdf5 import read_dataset
 from pcnde_bridge._utils.validation import listed, naming
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.files import FORMAT
-from pcnde_bridge.data.units import FACTORS, QUANTITIES, option_of, stated_units, usual_spelling
+from pcnde_bridge.data.units import (
+    FACTORS,
+    QUANTITIES,
+    option_of,
+    stated_units,
+    text_of,
+    usual_spelling,
+)
 from pcnde_bridge.data.variables import FIELDS, UNITS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.io.assemble import CaseOptions, Paths, to_cases
@@ -68,7 +75,7 @@ def read_hdf5(
     for name, place in places.items():
         if not isinstance(name, str) or not isinstance(place, str):
             raise InputError(f"names has {name!r}: {place!r}; give the path of an array, a text.")
-    stated = set(stated_units(options.get("units")))
+    stated = stated_units(options.get("units"))
     chosen, vessels, ours = as_paths(paths), [], []
     for path in chosen:
         with naming(path):
@@ -112,7 +119,7 @@ def _text(attribute: Any) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
+def _known_units(units: Mapping[str, str], stated: Mapping[str, str]) -> dict[str, str]:
     """Return the units in the file by quantity, except those that the caller states."""
     found: dict[str, str] = {}
     for name, text in units.items():
@@ -121,11 +128,12 @@ def _known_units(units: Mapping[str, str], stated: set[str]) -> dict[str, str]:
         if not unit or quantity in stated:
             continue
         if quantity == "area" and unit in FACTORS["z"]:
-            raise InputError(f"{name} is in {unit}: pass {option_of(quantity, unit)}.")
+            raise InputError(f"{name} is in {unit}: pass {option_of(stated, quantity, unit)}.")
         if unit not in FACTORS[quantity]:
             raise InputError(
                 f"{name} has the unknown unit {text!r}; known are {list(FACTORS[quantity])}. State "
-                f"it, units= (--units {quantity}=…), or that all are CGS units (--units cgs)."
+                f"it, units= (--units {text_of({**stated, quantity: '…'})}), or that all others "
+                f"are CGS units (--units {text_of(stated, 'cgs')})."
             )
         if found.setdefault(quantity, unit) != unit:
             raise InputError(f"{name} is in {unit}, but there is also {found[quantity]}.")

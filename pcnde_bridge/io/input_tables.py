@@ -54,7 +54,7 @@ def _read(path: StrPath, axis: str, units: _Units) -> tuple[Array, pd.DataFrame]
     stated = stated_units(units)
     if unit and (unit := usual_spelling(unit)) != stated.get(axis, SYSTEMS["cgs"][axis]):
         known = f"known are {[*FACTORS[axis]]}"
-        advice = f"pass {option_of(axis, unit)}" if unit in FACTORS[axis] else known
+        advice = f"pass {option_of(stated, axis, unit)}" if unit in FACTORS[axis] else known
         raise InputError(f"{path} gives {axis} in {unit}: {advice}.")
     for column in frame.columns[1:]:
         _check_unit(path, str(column), "flow" if axis == "time" else "area", stated)
@@ -77,7 +77,8 @@ def _check_unit(path: StrPath, column: str, quantity: str, units: Mapping[str, s
     if unit not in known or possible.get(unit) == possible[expected]:
         return
     can_be = {*FACTORS[quantity], *(FACTORS["z"] if quantity == "area" else ())}
-    advice = f" If it is in {unit}, pass {option_of(quantity, unit)}." if unit in can_be else ""
+    option = option_of(units, quantity, unit) if unit in can_be else ""
+    advice = f" If it is in {unit}, pass {option}." if option else ""
     raise InputError(f"{path}, column {column}: {quantity} in {expected} is expected.{advice}")
 
 
@@ -113,7 +114,7 @@ def read_cycle(
     any_period : bool
         Whether the model accepts other periods, for messages.
     units : str or mapping, optional
-        Stated units, which names of columns must not contradict; nothing is converted.
+        Stated units, which names of columns must not contradict; only the time is converted.
 
     Returns
     -------
@@ -132,6 +133,7 @@ def read_cycle(
         equally spaced while they are not to be interpolated.
     """
     time, columns = _read(path, "time", units)
+    time = in_cgs("time", time, stated_units(units))
     if time.size < 2:
         raise InputError(f"{path} has {time.size} time points; a cycle needs more.")
     _check_sorted(path, "time", time)
@@ -149,11 +151,11 @@ def read_cycle(
                 f"Leave the last line out, or pass the period (--period {span:g}); if the cycle "
                 "goes on after it, pass the period of the whole cycle."
             )
-        period = span if closed else _period_of(path, time, usual_period, any_period)
+        period = span if closed else _period_of(path, time, usual_period, any_period, units)
     elif abs(span - period) > _SAME * period and not span < period <= span + 1.01 * steps.max():
         raise InputError(
             f"{path} covers {span:g} s, not one cycle of {period:g} s: correct --period."
-            f"{_other_unit('time', span, period)}"
+            f"{_other_unit('time', span, period, units)}"
         )
     if abs(span - period) <= 1e-3 * steps.min():
         time, columns, steps = time[:-1], columns.iloc[:-1], steps[:-1]
@@ -190,7 +192,7 @@ def _only_period(period: float) -> str:
     )
 
 
-def _period_of(path: StrPath, time: Array, usual: float, any_period: bool) -> float:
+def _period_of(path: StrPath, time: Array, usual: float, any_period: bool, units: _Units) -> float:
     """Return the length of a cycle without its end point, which must be the usual one."""
     span, steps = float(time[-1] - time[0]), np.diff(time)
     period = span * time.size / (time.size - 1)
@@ -203,7 +205,7 @@ def _period_of(path: StrPath, time: Array, usual: float, any_period: bool) -> fl
         contrast = f"that of the training data has {usual:g} s. {advice}"
         if not any_period and abs(span - usual) >= 1e-3 * steps.min():
             contrast = f"{_only_period(usual)}. If rows are missing, add them."
-        hint = _other_unit("time", period, usual)
+        hint = _other_unit("time", period, usual, units)
         raise InputError(f"{path}: {found}, but {contrast}{hint}")
     # The mean of unequal steps says little about the last one.
     unequal = np.ptp(steps) > 1e-3 * steps.min()
@@ -227,7 +229,7 @@ def read_candidates(
     area_undeformed : array of shape (geometry, z)
         S_u, cm².
     grid : Grid
-        Time points and points of the tables.
+        Time points and points, in the units of the tables.
 
     Raises
     ------
@@ -237,6 +239,7 @@ def read_candidates(
         If a table is not usable.
     """
     cycle, waveforms = read_cycle(inflow, 0.0, math.nan, period=period, units=units)
+    cycle /= in_cgs("time", 1.0, stated_units(units))
     z, vessels = _read(area, "z", units)
     _check_sorted(area, "z", z)
     if not (vessels > 0).all(axis=None):
@@ -290,7 +293,7 @@ def read_columns(
     found, columns = _read(path, axis, units)
     found, unit = in_cgs(axis, found, stated_units(units)), SYSTEMS["cgs"][axis]
     covered = f"from {expected[0]:g} to {expected[-1]:g} {unit}"
-    if found.size and (hint := _other_unit(axis, np.ptp(found), np.ptp(expected))):
+    if found.size and (hint := _other_unit(axis, np.ptp(found), np.ptp(expected), units)):
         raise InputError(f"{path} has {axis} up to {found[-1]:g}; the model works {covered}.{hint}")
     if interpolate:
         from scipy.interpolate import PchipInterpolator
@@ -325,11 +328,12 @@ def read_columns(
     return columns
 
 
-def _other_unit(axis: str, span: float, expected: float) -> str:
-    """Return a hint if an axis has the expected span in another unit."""
-    for unit, factor in FACTORS[axis].items():
+def _other_unit(axis: str, span: float, expected: float, units: _Units) -> str:
+    """Return a hint if an axis has the expected span in another unit, and its unit is open."""
+    stated = stated_units(units)
+    for unit, factor in FACTORS[axis].items() if axis not in stated else ():
         if factor != 1 and abs(factor * span - expected) <= 0.3 * expected:
-            return f" This looks like {unit}: pass --units {axis}={unit}."
+            return f" This looks like {unit}: pass {option_of(stated, axis, unit)}."
     return ""
 
 
@@ -406,20 +410,16 @@ def read_inputs(
         columns have the same name in both files.
     """
     where: dict[str, Any] = {}
-    stated = stated_units(units)
-    second = in_cgs("time", 1.0, stated)
-    start, usual_period = grid.time[0] / second, grid.period / second
     if any_grid or interpolate or period is not None:
         count = grid.time.size if interpolate else None
-        given = None if period is None else period / second
         if not (any_grid or period is None or math.isclose(period, grid.period, rel_tol=1e-6)):
             raise InputError(f"--period is {period:g} s, but {_only_period(grid.period)}.")
         options: dict[str, Any] = {"time_points": count, "any_period": any_grid, "units": units}
-        found, q = read_cycle(inflow, start, usual_period, period=given, **options)
+        options["period"] = period
+        found, q = read_cycle(inflow, grid.time[0], grid.period, **options)
         if any_grid:
-            where["period"] = found
-        elif not math.isclose(found, usual_period, rel_tol=1e-6):
-            found *= second
+            where["period"] = found / in_cgs("time", 1.0, stated_units(units))
+        elif not math.isclose(found, grid.period, rel_tol=1e-6):
             raise InputError(f"{inflow} covers {found:g} s, but {_only_period(grid.period)}.")
         elif len(q) != grid.time.size:
             raise InputError(

@@ -24,7 +24,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.grid import Grid, check_resolution
 from pcnde_bridge.data.plausibility import check_units, input_sizes
 from pcnde_bridge.data.single_vessel import check_samples, equal_cycles
-from pcnde_bridge.data.units import FACTORS, SHAPES, in_cgs, stated_units
+from pcnde_bridge.data.units import FACTORS, SHAPES, in_cgs, option_of, stated_units, text_of
 from pcnde_bridge.data.variables import SOLVER_LABELS
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics.geometry import Vessel
@@ -58,7 +58,8 @@ class Inputs:
     outlet : array of shape (case, 2, harmonic) or None
         Response of an outlet; None for the trained one.
     units : mapping of str to str
-        Units that are known, see :func:`~pcnde_bridge.data.units.stated_units`.
+        Units that are stated, see :func:`~pcnde_bridge.data.units.stated_units`; empty for points
+        and a period of the model.
     """
 
     inflow: Array
@@ -128,9 +129,8 @@ def inputs_from_arrays(
     """
     if area_undeformed is None:
         raise InputError("predict needs area_undeformed beside the inflow.")
-    stated = stated_units(units)
-    stated |= {"z": "cm"} if z is None else {}
-    stated |= {"time": "s"} if period is None else {}
+    known = {name: "" for name, value in (("z", z), ("time", period)) if value is None}
+    stated = {**known, **stated_units(units)}
     given = stated, inflow, area_undeformed, z, period
     stated, inflow, area_undeformed, z, period = _from_objects(trained, any_grid, *given)
     inflow, area_undeformed = (
@@ -139,7 +139,7 @@ def inputs_from_arrays(
     )
     n_times = inflow.shape[-1] if inflow.ndim else 0
     if period is None and n_times > 1 and (any_grid or n_times == trained.time.size + 1):
-        _check_open(inflow)
+        _check_cycle(inflow, trained.time.size)
     grid = trained
     if any_grid:
         grid = _grid(trained, n_times, z, period, stated)
@@ -194,7 +194,7 @@ def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -
             case, value = int(np.flatnonzero(chosen)[wrong.argmax()]), mean[wrong.argmax()]
             raise InputError(f"The mean inflow of case {case}, {value:.4g} mL/s, {what}.")
     if "time" in stated and "flow" not in stated:
-        _check_single(inflow)
+        _check_single(inflow, stated)
     sizes = input_sizes(inflow, area, float(np.ptp(grid.z)), grid.period)
     shapes = {*SHAPES}
     if novelty is not None and "shape" not in stated:
@@ -205,7 +205,7 @@ def check_plausible(inputs: Inputs, chosen: AnyArray, novelty: Novelty | None) -
         raise InputError(
             f"The period is {grid.period:g} s; a cycle usually has 0.25 to {_LONGEST_CYCLE:g} s. "
             "Give the length of one cycle, not the heart rate; if it is right, state time=s among "
-            "the units (--units time=s)."
+            f"the units ({option_of(stated, 'time', 's')})."
         )
 
 
@@ -232,10 +232,10 @@ def _shapes(
     shape, unit = min(scores, key=scores.__getitem__)
     nearest, found = scores[shape, unit], scores["area", stated.get("area", "cm^2")]
     if shape != "area" and nearest < found / 4 and found > 1:
-        reading = f"{shape}={unit.removesuffix('^2')}"
+        side = unit.removesuffix("^2")
         raise InputError(
             f"area_undeformed looks like a {shape}, which would be much nearer to the training "
-            f"data: state {reading}, or area=cm^2, as units (--units {reading})."
+            f"data: state {shape}={side}, or area=cm^2 ({option_of(stated, shape, side)})."
         )
     near = (shape for (shape, _), score in scores.items() if score <= 2 * max(nearest, 1))
     return {"area", *near}
@@ -298,23 +298,29 @@ def _common(name: str, values: Sequence[float], trained: float, any_grid: bool) 
     return expected
 
 
-def _check_open(inflow: Array) -> None:
-    """Raise if the last time point repeats the first."""
+def _check_cycle(inflow: Array, usual: int) -> None:
+    """Raise if the last time point repeats the first, or a few seem to be missing or too many."""
     if np.ptp(inflow, axis=-1).all() and np.array_equal(inflow[..., 0], inflow[..., -1]):
         raise InputError(
             "The last time point of the inflow repeats the first: leave it out, inflow[..., :-1]. "
             "If it belongs to the cycle, pass period= (--period) to a model of the preset physics."
         )
+    count = inflow.shape[-1]
+    if 0 < abs(count - usual) < usual / 10 and np.ptp(inflow, axis=-1).any():
+        raise InputError(
+            f"The inflow has {count} time points, the training data {usual}: give {usual}, or pass "
+            "period= if these are a whole cycle."
+        )
 
 
-def _check_single(inflow: Array) -> None:
+def _check_single(inflow: Array, stated: Mapping[str, str]) -> None:
     """Raise if inflows, (case, time), have several equal cycles."""
     if (count := equal_cycles(inflow.T)) > 1:
         steps = inflow.shape[1] // count
         raise InputError(
             f"The inflow repeats itself {count} times: give one cycle, inflow[..., :{steps}]. "
-            "If it is one, pass period= (--period) to a model of the preset physics, or "
-            "units='cgs' (--units cgs)."
+            "If it is one, pass period= (--period) to a model of the preset physics, or state "
+            f"units (--units {text_of(stated, 'cgs')})."
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcnde_bridge.data.units import SYSTEMS, in_cgs, stated_units
+from pcnde_bridge.data.units import SYSTEMS, in_cgs, option_of, stated_units, text_of
 from pcnde_bridge.errors import InputError
 
 
@@ -25,6 +25,17 @@ from pcnde_bridge.errors import InputError
 )
 def test_statements(units, expected):
     assert stated_units(units) == expected
+    assert stated_units(text_of(expected) or None) == expected
+
+
+def test_an_option_keeps_what_is_stated():
+    stated = stated_units("mm-g-s,flow=L/min")
+    assert option_of(stated, "pressure", "kPa") == "--units mm-g-s,flow=L/min,pressure=kPa"
+    radii = "--units mm-g-s,flow=L/min,radius=cm for radii, or --units mm-g-s,flow=L/min,diameter="
+    assert option_of(stated, "area", "cm") == f"{radii}cm for diameters"
+    assert option_of(stated, "area", "cm^2") == "--units mm-g-s,flow=L/min,area=cm^2"
+    assert option_of({"z": "", "flow": "L/min"}, "time", "ms")[8:] == ("flow=L/min,time=ms")
+    assert text_of({"flow": "L/min"}, "cgs") == "cgs,flow=L/min"
 
 
 @pytest.mark.parametrize(

@@ -317,11 +317,14 @@ def test_units_in_names_that_are_stated(tmp_path):
     ):
         read("time (ms)", "Q (mL/min)", "z (mm)", area, units + stated)
     for names, message in (
-        (("time (s)", "Q", "z", "S"), r"gives time in s: pass --units time=s\."),
+        (("time (s)", "Q", "z", "S"), r"pass --units time=s,flow=mL/min,z=mm,area=mm\^2\."),
         (("time", "Q", "z (inch)", "S"), r"gives z in inch: known are \['cm', 'mm', 'm'\]"),
         (("time", "Q (mL/s)", "z", "S"), r"flow in mL/min is expected. If it is in mL/s, pass"),
         (("time", "Q", "z", "S (cm^2)"), r"area in mm\^2 is expected. If it is in cm\^2, pass"),
-        (("time", "Q", "z", "S (mm)"), "--units radius=mm for radii, or --units diameter=mm for"),
+        (
+            ("time", "Q", "z", "S (mm)"),
+            r"--units \S+,radius=mm for radii, or --units \S+,diameter=mm f",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             read(*names, units + "area=mm^2")
@@ -341,6 +344,10 @@ def test_an_end_point_is_found_whatever_the_period(tmp_path, period):
     assert (found, len(columns)) == (period, 80)
     with pytest.raises(InputError, match=r"not one cycle of 0\.5 s"):
         read_cycle(path, 0.0, 1.0, period=0.5)
+    pd.DataFrame({"time": 1000 * time, "q": flow}).to_csv(path, index=False)
+    with pytest.raises(InputError, match=rf"end repeats its start.*--period {period:g}\)"):
+        read_cycle(path, 0.0, 1.0, units="time=ms")
+    assert read_cycle(path, 0.0, 1.0, period=period, units="time=ms")[0] == period
 
 
 @pytest.mark.parametrize(

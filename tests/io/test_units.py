@@ -50,7 +50,7 @@ def test_other_units_are_refused_unless_they_are_stated(vessel, units, factors):
             with pytest.raises(InputError) as caught:
                 to_cases([other], units={"area": area})
             advice = ",".join(f"{name}={others[name]}" for name in FACTORS if name in others)
-            assert f"--units {advice})" in str(caught.value)
+            assert f"--units area={area},{advice})" in str(caught.value)
     found = to_cases([other], units=units)
     expected = to_cases([vessel])
     for name in (*FIELDS, "area_undeformed", "time", "z"):
@@ -106,7 +106,7 @@ def test_what_is_off_by_a_thousand_is_refused(vessel, name):
 def test_units_that_do_not_go_together_are_refused(vessel):
     """4 cm and 40 mm are both lengths of vessels, but not of this diameter."""
     long = replaced(vessel, z=10 * vessel.z)
-    with pytest.raises(InputError, match=r"length over the diameter is 10.*units=\{'z': 'mm'\}"):
+    with pytest.raises(InputError, match=r"length over the diameter is 10.*units='z=mm' \("):
         to_cases([long])
     assert to_cases([long], units={"z": "mm"}).z[-1] == pytest.approx(4.0)
     small = replaced(vessel, flow=vessel.flow / 60, wall_shear_stress=None)

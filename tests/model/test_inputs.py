@@ -145,6 +145,15 @@ def test_a_repeated_end(physics_model, small_model):
         small_model.predict(np.append(flow, flow[0]), VESSELS[0])
 
 
+def test_a_cycle_that_lacks_its_last_point(physics_model):
+    flow = coronary().samples(32)
+    for cut in (flow[:-1], flow[:-3], np.append(flow, flow[:2])):
+        with pytest.raises(InputError, match=f"{len(cut)} time points, .* 32: give 32, or pass pe"):
+            physics_model.predict(cut, VESSELS)
+        assert physics_model.predict(cut, VESSELS, period=0.97).period == 0.97
+    assert physics_model.predict(coronary().samples(64), VESSELS).time.size == 64
+
+
 def test_a_period_in_milliseconds_is_found_for_a_steady_inflow(physics_model, physics_cases):
     """Its distance from the training data does not depend on the period."""
     inflow, area = physics_cases.inflow.mean(axis=1, keepdims=True), physics_cases.area_undeformed
