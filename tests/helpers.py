@@ -21,9 +21,6 @@ from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.engines.types import Fit, FitData, ModelInputs, ignore
 from pcnde_bridge.model.pcnde import PCNDE
 
-COMPILED_QUICKLY = {"xla_backend_optimization_level": 0}
-"""Options of ``jax.jit`` for gradients whose compilation takes longer than all evaluations."""
-
 
 @functools.cache
 def _status() -> JuliaStatus:

@@ -32,7 +32,7 @@ from helpers import (
 )
 from scipy.integrate import solve_ivp
 
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine, shared_terms
@@ -60,11 +60,11 @@ def rate(signal):
 
 def in_double(function, **static):
     """Compile, and compute in float64 from and to numpy."""
-    compiled = jax.jit(partial(function, **static))
+    fast = compiled()(partial(function, **static))
 
     def call(*arguments):
         with double_precision():
-            return jax.tree.map(np.asarray, compiled(*map(jnp.asarray, arguments)))
+            return jax.tree.map(np.asarray, fast(*map(jnp.asarray, arguments)))
 
     return call
 

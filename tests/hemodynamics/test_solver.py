@@ -4,10 +4,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from helpers import COMPILED_QUICKLY
 from scipy.integrate import trapezoid
 
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.hemodynamics.discretization import discretize
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
@@ -46,7 +45,7 @@ def relative(ours, theirs):
 
 @pytest.mark.parametrize("profile_exponent", [2.0, 9.0])
 def test_poiseuille_drop_in_a_rigid_tube(profile_exponent):
-    z, area = straight(4.0, 21, n_cases=2)
+    z, area = straight(4.0, 41, n_cases=2)
     tube = Tube1D(wall=STIFF, profile_exponent=profile_exponent, n_times=4, steps=20)
     flow = np.array([0.5, 2.0])
     cases = tube.solve(area, [Waveform(q) for q in flow], Windkessel(RESISTANCE), z=z)
@@ -120,7 +119,7 @@ def test_windkessel_has_its_impedance():
     waveform = Waveform(1.2, (0.5,), (0.0,), period)
     tube = Tube1D(wall=STIFF, n_times=20, steps=400, cycles=6)
     outlet = Windkessel(proximal, distal, capacitance, 1e3)
-    z, area = straight(1.0, 6)
+    z, area = straight(1.0, 41)
     pressure = tube.solve(area, [waveform], outlet, z=z).pressure[0, :, -1]
     omega = 2 * math.pi / period
     impedance = proximal + distal / (1 + 1j * omega * distal * capacitance)
@@ -240,7 +239,7 @@ def test_batch_does_not_change_a_case(in_time):
 
 
 def test_groups_of_cases_are_computed_side_by_side():
-    z, area = straight(4.0, 5, n_cases=33)
+    z, area = straight(4.0, 41, n_cases=33)
     waveforms = [Waveform(0.5 + 0.05 * k) for k in range(33)]
     cases = Tube1D(n_times=4, steps=20, cycles=1).solve(area, waveforms, Windkessel(1e5), z=z)
     np.testing.assert_allclose(cases.inflow[:, -1], [w.mean for w in waveforms])
@@ -353,7 +352,7 @@ def test_new_walls_and_grids_compile_nothing():
     from pcnde_bridge.hemodynamics import tr_bdf2
 
     def solve(modulus, length, n_cases):
-        z, area = straight(length, 21, n_cases=n_cases)
+        z, area = straight(length, 41, n_cases=n_cases)
         wall = LinearWall(modulus, reference_pressure=modulus / 1e3)
         tube = Tube1D(wall, n_times=20, steps=100, cycles=2, viscosity=modulus / 1e9)
         return tube.solve(area, [coronary()] * n_cases, Windkessel(modulus / 1e2), z=z)
@@ -437,14 +436,14 @@ def test_coronary_outlet_in_a_rigid_tube():
 def test_distal_pressure_may_vary_in_time():
     distal = Waveform(2e4, (5e3,), (0.0,))
     outlet = Windkessel(1e5, distal_pressure=distal)
-    cases = Tube1D(**SHORT).solve([Vessel()], [coronary()], outlet, n_points=21)
+    cases = Tube1D(**SHORT).solve([Vessel()], [coronary()], outlet, n_points=41)
     expected = 1e5 * cases.flow[0, :, -1] + distal.samples(20)
     np.testing.assert_allclose(cases.pressure[0, :, -1], expected, rtol=1e-12)
 
 
 def test_flat_profile_without_friction():
-    z, area = straight(4.0, 21)
-    area[:, 10:] *= 0.8
+    z, area = straight(4.0, 41)
+    area[:, 20:] *= 0.8
     # A stiffer wall has more round-off in the pressure.
     wall = LinearWall(young_modulus=1e11)
     tube = Tube1D(wall, viscosity=0.0, momentum_correction=1.0, n_times=4, steps=20)
@@ -459,7 +458,7 @@ def test_flat_profile_without_friction():
 
 def test_a_run_goes_on_from_a_state_and_stops_when_it_is_periodic():
     slow = Windkessel(1e4, 1e5, 3e-6)  # a time constant of 0.3 s
-    z, area = straight(4.0, 21)
+    z, area = straight(4.0, 41)
     given = z, area, [coronary()], slow
     whole = Tube1D(cycles=4, **SHORT)
     problem = discretize(whole, *given)
@@ -476,7 +475,7 @@ def test_a_run_goes_on_from_a_state_and_stops_when_it_is_periodic():
 
 def test_other_cases_are_returned_when_one_diverges():
     waveforms = [Waveform(0.5), Waveform(-5.0), Waveform(0.6)]
-    z, area = straight(4.0, 21, n_cases=3)
+    z, area = straight(4.0, 41, n_cases=3)
     tube = Tube1D(**SHORT)
     rest = [2e5, 0.0, 1e5]
     problem = discretize(tube, z, area, waveforms, Windkessel(1e7), initial_pressure=rest)
@@ -515,7 +514,7 @@ def test_gradients_of_the_jax_function():
     function, inputs = tube.jax_function(problem)
     weights = np.random.default_rng(0).standard_normal((2, 1, 4, 11))
 
-    @partial(jax.jit, compiler_options=COMPILED_QUICKLY)
+    @compiled()
     @partial(jax.value_and_grad, has_aux=True)
     def evaluate(inputs):
         flow, _, pressure = function(inputs)
@@ -744,7 +743,7 @@ def test_a_cycle_that_is_not_periodic_is_reported(caplog):
 def test_periodicity_is_the_distance_of_slow_outlets_too(wall, outlet, initial_pressure, caplog):
     tube = Tube1D(wall=wall, n_times=20, steps=100)
     cases = tube.solve(
-        [Vessel()], [coronary()], outlet, n_points=21, initial_pressure=initial_pressure
+        [Vessel()], [coronary()], outlet, n_points=41, initial_pressure=initial_pressure
     )
     # What flows in flows out in the periodic cycle, whatever happens between.
     mean = (outlet.resistance + outlet.distal_resistance) * coronary().mean
@@ -769,7 +768,7 @@ def test_outlet_beyond_the_wall_law_is_reported_with_its_place(wall, pressure):
     outlet = Windkessel(0.0, distal_pressure=pressure)
     tube = Tube1D(wall, n_times=20, steps=100)
     with pytest.raises(SolveError, match=r"diverged at t = 0\.01 s, near z = 4 cm"):
-        tube.solve([Vessel()], [coronary()], outlet, n_points=21)
+        tube.solve([Vessel()], [coronary()], outlet, n_points=41)
 
 
 def test_a_stenosis_without_loss_may_be_anywhere():

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import COMPILED_QUICKLY
 
-from pcnde_bridge._utils.jax_context import double_precision
+from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import Reflection, Waveform, Windkessel
 
@@ -25,12 +24,11 @@ def evaluate(physics_model):
         found = function(vectors, values["inflow"], values["area_undeformed"])
         return (weights[0] * found.flow + weights[1] * found.pressure).sum(), found
 
-    batch = jax.vmap(jax.value_and_grad(loss, has_aux=True))
-    compiled = jax.jit(batch, compiler_options=COMPILED_QUICKLY)
+    batch = compiled()(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
 
     def evaluate(values):
         with double_precision():
-            return jax.tree.map(np.asarray, compiled(values))
+            return jax.tree.map(np.asarray, batch(values))
 
     return evaluate
 

@@ -198,8 +198,7 @@ def test_ffr_of_another_patient_is_that_of_the_solver():
     """Trained with one resistance at maximal flow; predicted with others."""
     tube = Tube1D(n_times=32, steps=320)
     cases = synthetic(4, 4, hyperemia=4.0, n_points=41, tube=tube, cache=False, progress=False)
-    config = PHYSICS_CONFIG.replace(correction={"hidden": (), "folds": 0})
-    model = fit_physics(cases, config)
+    model = fit_physics(cases, PHYSICS_CONFIG.replace(correction={"folds": 0}))
     strongest = cases[3::4]
     own = model.evaluate(strongest)["pressure_drop"].iloc[-1]
     muscle = Waveform(4e4, (-2.5e4,), (1.5e4,))
