@@ -13,6 +13,7 @@ _LONE = 12.0  # ratio of deviations from neighbors, without a damaged sample up 
 _GAP = 3.0  # times those within a waveform; whole cycles have up to 2.7, with kinks
 _RESOLVED, _FINE = 16, 40  # time points that show the shape of a waveform, and its derivatives
 _LAG = 0.04  # of the cycle; walls that creep are a little late
+_LEAD = 0.16  # of the cycle; the wall shear stress of a large artery leads the flow by up to 1/8
 _DRIFT = 0.04  # of the mean flow; the published averages lose up to 0.013 along the vessel
 _OPPOSITE = 0.95  # correlation with the opposite sign
 _TRANSPOSED = (
@@ -41,7 +42,7 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     ------
     InputError
         See :func:`check_flow` and :func:`check_samples`; also if there are several equal cycles,
-        if pressure or flow are shifted in time or reversed, or if most of the wall shear stress
+        if a variable is shifted in time or reversed, or if most of the wall shear stress
         points against the flow.
     """
     check_axes(variables["flow"])
@@ -54,6 +55,12 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     for name, values in variables.items():
         check_samples(name, values, time)
     check_flow(variables["flow"], variables["area"], z, flip)
+    stress = variables.get("wall_shear_stress", np.ones((1, 1)))
+    if (usual := np.median(stress.mean(axis=0))) < 0:
+        raise InputError(
+            f"the wall shear stress points against the flow, its mean is {usual:.4g} dyn/cm² in "
+            "the middle of its range: change its sign, or give its magnitude."
+        )
     _check_phases(variables, z, time)
     for name in ("area", "pressure"):
         mean = np.abs(variables[name].mean(axis=0))
@@ -66,35 +73,32 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
                 f"the mean {name} is {mean[at]:.4g} at z = {z[at]:.4g} cm (point {at}), but usual "
                 "at the neighboring points: leave out the points without results."
             )
-    stress = variables.get("wall_shear_stress", np.ones((1, 1)))
-    if (usual := np.median(stress.mean(axis=0))) < 0:
-        raise InputError(
-            f"the wall shear stress points against the flow, its mean is {usual:.4g} dyn/cm² in "
-            "the middle of its range: change its sign, or give its magnitude."
-        )
 
 
 def _check_phases(variables: Mapping[str, Array], z: Array, time: Array) -> None:
-    """Raise if pressure or flow is shifted in time against the area."""
+    """Raise if pressure or flow is shifted in time against the area, or stress against the flow."""
     if _is_coarse(time):
         return
     volume = np.asarray(np.trapezoid(variables["area"], z, axis=1))
     flow = variables["flow"]
     growth = np.roll(volume, -1) - np.roll(volume, 1)
-    for name, signal, of in (
-        ("pressure", variables["pressure"].mean(axis=1), volume),
-        ("flow", flow[:, 0] - flow[:, -1], growth),
+    shear = variables.get("wall_shear_stress", flow)
+    for name, signal, of, cause, lead in (
+        ("pressure", variables["pressure"].mean(axis=1), volume, "area of elastic walls", _LAG),
+        ("flow", flow[:, 0] - flow[:, -1], growth, "area of elastic walls", _LAG),
+        ("wall shear stress", shear.mean(axis=1), flow.mean(axis=1), "flow", _LEAD),
     ):
         if name == "flow" and _opposes(signal, of):
             raise InputError(
                 "more flows out than in while the volume grows: the flow has the wrong sign, or z "
                 "or time runs backward."
             )
-        if abs(steps := lag(signal, of)) > _LAG * len(time):
+        steps = lag(signal, of)
+        if not -lead * len(time) <= steps <= _LAG * len(time):
             late = "late" if steps > 0 else "early"
             raise InputError(
-                f"the {name} is {abs(steps) * (time[1] - time[0]):.3g} s too {late} for the area "
-                "of elastic walls: give all variables from the same start of the cycle."
+                f"the {name} is {abs(steps) * (time[1] - time[0]):.3g} s too {late} for the "
+                f"{cause}: give all variables from the same start of the cycle."
             )
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import artery
+from scipy.special import jve
 
+from pcnde_bridge.data.balances import lag
 from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.data.single_vessel import check_flow, check_samples, check_vessel
 from pcnde_bridge.errors import InputError
@@ -100,6 +102,37 @@ def test_published_cases_that_are_shifted_in_time_are_refused(published_cases, n
         variables[name] = np.roll(variables[name], 10, axis=0)
         with pytest.raises(InputError, match=r"is 0\.1 s too (late|early) for the area"):
             check_vessel(variables, published_cases.z, published_cases.time, "")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("steps", "message"), [(10, "0.(08|09|1) s too late"), (-25, "early")])
+def test_published_stress_that_is_shifted_in_time_is_refused(published_cases, steps, message):
+    pulsatile = published_cases.select(published_cases.labels["waveform"].to_numpy() != 1)
+    for case in range(0, len(pulsatile), 7):
+        variables = {name: values[case] for name, values in pulsatile.variables().items()}
+        check_vessel(variables, published_cases.z, published_cases.time, "")
+        variables["wall_shear_stress"] = np.roll(variables["wall_shear_stress"], steps, axis=0)
+        with pytest.raises(InputError, match=rf"wall shear stress is .*{message}.* for the flow"):
+            check_vessel(variables, published_cases.z, published_cases.time, "")
+
+
+@pytest.mark.parametrize("diameter", [0.2, 0.4, 1.0, 2.5])
+def test_stress_of_womersleys_flow_may_lead(diameter):
+    """α at the heart rate is 1.3 to 16."""
+    fields = artery(diameter, 10.0, 10.0, 1.0, 1.3e5, n_times=100, shear=None)
+    variables = {name: fields[name][0] for name in ("flow", "area", "pressure")}
+    radius, omega = diameter / 2, 2 * np.pi * np.arange(1, 51)
+    number = radius * np.sqrt(omega * 1.06 / 0.04) * np.exp(0.75j * np.pi)
+    ratio = jve(1, number) / jve(0, number)
+    impedance = 0.04 * number * ratio / (2 * ratio / number - 1)
+    harmonics = np.fft.rfft(variables["flow"], axis=0)
+    harmonics *= np.append(4 * 0.04, impedance)[:, None] / (np.pi * radius**3)
+    stress = np.fft.irfft(harmonics, 100, axis=0)
+    assert 0 <= lag(variables["flow"].mean(axis=1), stress.mean(axis=1)) <= 13
+    check_vessel({**variables, "wall_shear_stress": stress}, fields["z"], fields["time"], "")
+    late = {**variables, "wall_shear_stress": np.roll(stress, 25, axis=0)}
+    with pytest.raises(InputError, match=r"wall shear stress is .* s too late for the flow"):
+        check_vessel(late, fields["z"], fields["time"], "")
 
 
 def waveform(n=100):
