@@ -54,6 +54,13 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
         )
     for name, values in variables.items():
         check_samples(name, values, time)
+    lost = variables["pressure"] == 0
+    lost &= ~lost.all(axis=0)
+    others = variables["pressure"][~lost]
+    if lost.any() and others.min() > 0.2 * np.median(others):
+        raise InputError(
+            "some pressures are 0, and all others are not near it: they are missing values."
+        )
     check_flow(variables["flow"], variables["area"], z, flip)
     stress = variables.get("wall_shear_stress", np.ones((1, 1)))
     if (usual := np.median(stress.mean(axis=0))) < 0:
@@ -147,6 +154,13 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
     """
     if _is_coarse(time):
         return
+    for first in (0, 1):
+        by_text = np.argsort([str(number) for number in range(first, first + len(values))])
+        if _roughness(values[np.argsort(by_text)]) < _roughness(values) / 4:
+            raise InputError(
+                f"the time points of {name} are in the order of text, 1, 10, 11, …: sort them by "
+                "number."
+            )
     floor = np.maximum(1e-4 * np.abs(values).max(axis=0), np.finfo(float).tiny)
 
     def deviation(of: Array) -> Array:
@@ -175,6 +189,11 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
             f"{values[0, at]:.4g} ({column} {at}), a gap in its waveform. Correct the time points, "
             "or pass the period (--period)."
         )
+
+
+def _roughness(values: Array) -> float:
+    steps = values - np.roll(values, 1, axis=0)
+    return float(np.square(steps - np.roll(steps, 1, axis=0)).sum())
 
 
 def _gaps(values: Array, floor: Array) -> Array:

@@ -79,6 +79,9 @@ def stated_units(units: str | Mapping[str, str] | None) -> dict[str, str]:
             raise InputError(
                 f"units= or --units must look like flow=mL/s,pressure=mmHg, got {units!r}."
             )
+        names = [pair.partition("=")[0] for pair in pairs]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise InputError(f"units names {twice[0]} twice, got {units!r}.")
         units = dict(pair.partition("=")[::2] for pair in pairs)
     known = {**FACTORS, **dict.fromkeys([*SHAPES][1:], FACTORS["z"])}
     for name, given in units.items():

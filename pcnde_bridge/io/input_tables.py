@@ -15,6 +15,7 @@ from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.single_vessel import check_samples
 from pcnde_bridge.data.units import (
     FACTORS,
+    SHAPES,
     SYSTEMS,
     in_cgs,
     option_of,
@@ -28,6 +29,7 @@ from pcnde_bridge.io.tables import first_line, line_of, numbers, read_frame
 _Units: TypeAlias = str | Mapping[str, str] | None
 _SAME = 1e-6  # of a step, a range or an axis
 _AXES = {"time": ("time", "t"), "z": ("z", "x", "s", "distance", "position", "path")}
+_NAMES = {"flow", "area", "radius", "diameter", "pressure", "velocity", "speed"}
 _SPEEDS = "cm/s", "mm/s", "m/s"
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -66,10 +68,14 @@ def _read(path: StrPath, axis: str, units: _Units) -> tuple[Array, pd.DataFrame]
 
 
 def _check_unit(path: StrPath, column: str, quantity: str, units: Mapping[str, str]) -> None:
-    """Raise if the name of a column ends with a unit other than the stated one, as Q (L/min)."""
-    if (found := re.search(r"[(\[]([^()\[\]]+)[)\]]$", column.strip())) is None:
-        return
-    unit = usual_spelling(found[1])
+    """Raise if a column has the name of another quantity, or ends with a unit, as Q (L/min)."""
+    word, shape = re.split(r"[^a-z]", column.strip().lower())[0], units.get("shape", "area")
+    if word in _NAMES - {quantity, shape if quantity == "area" else ""}:
+        lengths = quantity == "area" and word in SHAPES
+        advice = f" State its unit, such as {option_of(units, word, 'mm')}." if lengths else ""
+        raise InputError(f"{path}, column {column}: {quantity} is expected, not {word}.{advice}")
+    found = re.search(r"[(\[]([^()\[\]]+)[)\]]$", column.strip())
+    unit = usual_spelling(found[1]) if found else ""
     known = {*_SPEEDS, *(name for units in FACTORS.values() for name in units)}
     expected, possible = units.get(quantity, SYSTEMS["cgs"][quantity]), FACTORS[quantity]
     if quantity == "area" and units.get("shape", "area") != "area":

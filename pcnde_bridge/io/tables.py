@@ -134,11 +134,9 @@ def numbers(path: StrPath, column: pd.Series[Any]) -> Array:
     InputError
         If a value is not a number; the message names its line and column.
     """
-    try:
-        found = pd.to_numeric(column, errors="coerce")
-    except OverflowError:  # a whole number beyond all floats
-        found = pd.to_numeric(column.map(str), errors="coerce")
-    values = found.to_numpy(dtype=np.float64)
+    if column.dtype in (bool, object):  # also whole numbers beyond all floats
+        column = column.map(str)
+    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
     if (missing := np.isnan(values)).any():
         line = line_of(path, int(np.argmax(missing)))
         raise InputError(f"{path}, line {line}, column {column.name}: not a number.")

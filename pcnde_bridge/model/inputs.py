@@ -266,7 +266,9 @@ def _from_objects(
         inflow, area = area, inflow
     if _are(Waveform, inflow):
         waveforms = all_of(Waveform, "inflow", np.atleast_1d(inflow))
-        units = {**units, "flow": "mL/s", "time": "s"}
+        units = {**units, "flow": "mL/s"}
+        if units.pop("time", "") or not any_grid:
+            units["time"] = "s"
         cycle = _common("period", [w.period for w in waveforms], trained.period, any_grid)
         period = cycle if any_grid else period
         inflow = [waveform.samples(trained.time.size) for waveform in waveforms]
@@ -306,7 +308,7 @@ def _check_cycle(inflow: Array, usual: int) -> None:
             "If it belongs to the cycle, pass period= (--period) to a model of the preset physics."
         )
     count = inflow.shape[-1]
-    if 0 < abs(count - usual) < usual / 10 and np.ptp(inflow, axis=-1).any():
+    if 0 < abs(count - usual) <= usual / 10 and np.ptp(inflow, axis=-1).any():
         raise InputError(
             f"The inflow has {count} time points, the training data {usual}: give {usual}, or pass "
             "period= if these are a whole cycle."

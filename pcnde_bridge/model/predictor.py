@@ -104,8 +104,8 @@ class Predictor(Displayed, ABC):
         inflow : array of shape (case, time) or (time,), Waveform, or Cases
             Flow rate at the inlet, mL/s, at the time points of :attr:`grid`; for
             ``Cases``, the flow at their first point.  A model of the preset ``physics``
-            accepts any number of equally spaced time points of one cycle; if it differs by less
-            than a tenth from that of ``grid``, as without the last point, ``period`` is needed.
+            accepts any number of equally spaced time points of one cycle; if it differs by a
+            tenth or less from that of ``grid``, as without the last point, ``period`` is needed.
         area_undeformed : array of shape (case, z) or (z,), or Vessel
             Undeformed area, cm², at the points of :attr:`grid`, or at ``z``.  A single
             waveform is combined with many geometries, and the other way round.  A

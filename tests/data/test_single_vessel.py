@@ -189,6 +189,26 @@ def test_a_part_of_a_smooth_cycle_is_no_cycle(start):
             check_samples("flow", values[:count], np.arange(count) / 100)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("count", [20, 32, 100, 1000])
+def test_time_points_in_the_order_of_text_are_refused(first, count):
+    """As files of names without leading zeros."""
+    order = np.array(sorted(range(first, first + count), key=str)) - first
+    time = np.arange(count) / count
+    check_samples("flow", waveform(count), time)
+    with pytest.raises(InputError, match=r"order of text, 1, 10, 11, …: sort them"):
+        check_samples("flow", waveform(count)[order], time)
+
+
+def test_pressures_that_drop_out_are_refused():
+    fields = artery(0.4, 10.0, 10.0, 1.0, 1.3e5)
+    variables = {n: np.array(fields[n][0]) for n in ("flow", "area", "pressure")}
+    check_vessel(variables, fields["z"], fields["time"], "")
+    variables["pressure"][3:5] = 0
+    with pytest.raises(InputError, match=r"some pressures are 0, .* missing values"):
+        check_vessel(variables, fields["z"], fields["time"], "")
+
+
 @pytest.mark.parametrize("change", ["flow", "time"])
 def test_a_reversed_flow_or_time_is_refused(change):
     fields = artery(0.4, 20.0, 10.0, 0.9, 1.2e5, n_times=32, drop=False)

@@ -60,6 +60,7 @@ def test_a_circle_of_two(units, area):
         ("cgs,diameter=mm,radius=mm", "names diameter and radius"),
         ({"radius": "mm^2"}, r"Unknown unit 'mm\^2' of radius; known are \['cm', 'mm', 'm'\]"),
         ("cgs,flow", "must look like flow="),
+        ("pressure=Pa,pressure=mmHg", "names pressure twice"),
         ("inches", "Unknown units 'inches'; give one of"),
         ("thickness=mm", "units names 'thickness'; it can name .*'diameter'"),
     ],

@@ -109,6 +109,8 @@ def test_an_end_point_counts_by_the_range_of_each_waveform(tmp_path):
     [
         ("time;a\n0;1\n0,25;2,5,1\n0,5;1\n0,75;1\n", InputError, "line 3, column a: not a num"),
         ("time (ms),a\n0,1\n", InputError, "gives time in ms: .*--units time=ms"),
+        ("time,Velocity_1\n0,1\n", InputError, r"Velocity_1: flow is expected, not velocity\.$"),
+        ("time,a\n0,True\n0.25,False\n", InputError, "line 2, column a: not a number"),
         ("time,a\n".encode("utf-16"), FileError, "comma-separated values in UTF-8, or"),
         ("\n\n \ntime,a\n0,1\n\n0.25,x\n", InputError, "line 7, column a: not a number"),
         ("\ntime,a\n0,1\n0.3,1\n0.5,1\n0.75,1\n", InputError, "line 4: time is 0.3 s"),
@@ -253,8 +255,8 @@ def test_an_end_point_that_is_nearly_the_start_is_suggested(tmp_path):
 
 
 def test_a_number_of_400_digits_is_refused(read):
-    """In a column of whole numbers, which pandas reads as Python's."""
-    with pytest.raises(InputError, match=r"works at 0 s"):
+    """In a column of whole numbers, which pandas reads as Python's; older ones as no number."""
+    with pytest.raises(InputError, match=r"line 2(: time is inf s|, column time: not a number)"):
         read(f"time,a\n{'9' * 400},1\n0,1\n1,1\n2,1\n")
 
 
@@ -321,6 +323,7 @@ def test_units_in_names_that_are_stated(tmp_path):
         (("time", "Q", "z (inch)", "S"), r"gives z in inch: known are \['cm', 'mm', 'm'\]"),
         (("time", "Q (mL/s)", "z", "S"), r"flow in mL/min is expected. If it is in mL/s, pass"),
         (("time", "Q", "z", "S (cm^2)"), r"area in mm\^2 is expected. If it is in cm\^2, pass"),
+        (("time", "Q", "z", "radius"), r"not radius\. State its unit, such as \S+ \S+,radius=mm\."),
         (
             ("time", "Q", "z", "S (mm)"),
             r"--units \S+,radius=mm for radii, or --units \S+,diameter=mm f",

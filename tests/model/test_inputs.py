@@ -173,6 +173,12 @@ def test_a_heart_rate_is_no_period(check):
     assert check(time=3.0).grid.period == 3.0
 
 
+def test_a_heart_rate_is_no_period_of_a_waveform(physics_model):
+    with pytest.raises(InputError, match=r"recording is 75 s, usual are 0\.25 to 60"):
+        physics_model.predict(VESSELS, coronary(75.0))
+    assert physics_model.predict(VESSELS, coronary(75.0), units="time=s").period == 75.0
+
+
 def test_several_cycles_are_no_cycle(physics_model, physics_cases):
     inflow, area = physics_cases.inflow[0], physics_cases.area_undeformed[0]
     for count in (2, 3):

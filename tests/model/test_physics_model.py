@@ -500,7 +500,7 @@ def test_fit_evaluate_and_predict_from_the_command_line(cases, model, tmp_path, 
         *("--out", result, "--samples", 8),
     )
     assert code == 0
-    expected = model.predict(waveforms(time)[[0, 3]], AREA[[0, 7]], samples=8)
+    expected = model.predict(waveforms(time)[[0, 3]], AREA[[0, 7]], period=1.0, samples=8)
     found = read_frame(result)
     assert np.allclose(found["pressure"], expected.pressure.ravel(), rtol=1e-9)
     deviation = expected.standard_deviation()["pressure"].ravel()
