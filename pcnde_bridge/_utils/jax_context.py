@@ -4,6 +4,7 @@ JAX stores compiled functions in a folder and loads them in the next process, so
 fit compiles nothing.  Its keys contain the function, JAX's version and its options.
 """
 
+import ctypes
 import hashlib
 import os
 import platform
@@ -43,6 +44,7 @@ if hasattr(os, "register_at_fork"):
 
 _SHORTEST_COMPILATION = 0.1  # s; loading a function takes about 0.01 s
 _LARGEST_CACHE, _FREE_SPACE = 1 << 30, 1 << 29  # bytes
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = (-1, 1 << 26), (-3, 1 << 25)  # at most, by default
 
 
 @cache
@@ -57,6 +59,19 @@ def _start() -> None:
             f"JAX has no device to compute on ({error}). Unset the environment variable "
             f"JAX_PLATFORMS, which is {os.environ.get('JAX_PLATFORMS')!r}."
         ) from error
+    _reuse_memory()
+
+
+def _reuse_memory() -> None:
+    """Let glibc reuse the memory of arrays in workers of dask, whose setting returns it at once.
+
+    To get it again for each computation takes longer than most computations.
+    """
+    if os.environ.get("MALLOC_TRIM_THRESHOLD_") == "65536":
+        with suppress(AttributeError, OSError, TypeError):  # another C library
+            mallopt = ctypes.CDLL(None).mallopt
+            for threshold in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
+                mallopt(*threshold)
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 import sys
 from collections import namedtuple
@@ -105,3 +106,19 @@ def test_the_number_of_threads_is_part_of_the_key(monkeypatch):
     one = jax_context._machine()
     monkeypatch.setenv("NPROC", "2")
     assert jax_context._machine() != one
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
+def test_memory_of_arrays_is_reused_in_workers_of_dask(monkeypatch):
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
+    code = """
+import resource, numpy as np
+from pcnde_bridge._utils.jax_context import double_precision
+with double_precision(): pass
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(20): np.ones(1 << 20)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    pages = (8 << 20) / os.sysconf("SC_PAGE_SIZE")  # of one array
+    assert int(done.stdout) < 2 * pages
