@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from pcnde_bridge._utils import jax_context
 from pcnde_bridge.config import FAST, PHYSICS
 from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.data.cases import Cases
@@ -20,6 +21,14 @@ from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.staged import predict_by_stages
 from pcnde_bridge.engines.types import Fit, FitData, ModelInputs, ignore
 from pcnde_bridge.model.pcnde import PCNDE
+
+
+def compiled_quickly(function):
+    """Compile a function whose compilation takes longer than all evaluations."""
+    import jax
+
+    options = jax_context._compiler_options() | {"xla_backend_optimization_level": 0}
+    return jax.jit(function, compiler_options=options)
 
 
 @functools.cache

@@ -117,7 +117,7 @@ def test_ctrl_c_while_jax_compares_settings():
         work(1.0, setting=_PressesCtrlC(True))
 
 
-def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, toy_config, tmp_path, monkeypatch):
+def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, small_config, tmp_path, monkeypatch):
     """Regression test: the checkpoint is stored, and the task is not repeated."""
     compare, calls = PCNDEConfig.__eq__, []
 
@@ -129,9 +129,8 @@ def test_ctrl_c_in_the_settings_of_a_fit_on_jax(small_cases, toy_config, tmp_pat
 
     monkeypatch.setattr(PCNDEConfig, "__eq__", interrupted)
     path = tmp_path / "run"
-    config, cases = toy_config, small_cases
     with pytest.raises(KeyboardInterrupt):
-        PCNDE.fit(cases, config, "jax", checkpoint=path, progress=False)
+        PCNDE.fit(small_cases, small_config, "jax", checkpoint=path, progress=False)
     assert len(calls) == 30
     assert path.exists()
 

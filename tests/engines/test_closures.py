@@ -26,13 +26,14 @@ from helpers import (
     TIME,
     WAVEFORM,
     Z,
+    compiled_quickly,
     solve,
     vessel,
     waveforms,
 )
 from scipy.integrate import solve_ivp
 
-from pcnde_bridge._utils.jax_context import compiled, double_precision
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PHYSICS
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines import select_engine, shared_terms
@@ -60,7 +61,7 @@ def rate(signal):
 
 def in_double(function, **static):
     """Compile, and compute in float64 from and to numpy."""
-    fast = compiled()(partial(function, **static))
+    fast = compiled_quickly(partial(function, **static))
 
     def call(*arguments):
         with double_precision():

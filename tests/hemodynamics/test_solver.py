@@ -4,9 +4,10 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import compiled_quickly
 from scipy.integrate import trapezoid
 
-from pcnde_bridge._utils.jax_context import compiled, double_precision
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.errors import InputError, SolveError
 from pcnde_bridge.hemodynamics.discretization import discretize
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
@@ -514,7 +515,7 @@ def test_gradients_of_the_jax_function():
     function, inputs = tube.jax_function(problem)
     weights = np.random.default_rng(0).standard_normal((2, 1, 4, 11))
 
-    @compiled()
+    @compiled_quickly
     @partial(jax.value_and_grad, has_aux=True)
     def evaluate(inputs):
         flow, _, pressure = function(inputs)

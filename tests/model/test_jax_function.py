@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import compiled_quickly
 
-from pcnde_bridge._utils.jax_context import compiled, double_precision
+from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.errors import InputError
 from pcnde_bridge.hemodynamics import Reflection, Waveform, Windkessel
 
@@ -24,7 +25,7 @@ def evaluate(physics_model):
         found = function(vectors, values["inflow"], values["area_undeformed"])
         return (weights[0] * found.flow + weights[1] * found.pressure).sum(), found
 
-    batch = compiled()(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
+    batch = compiled_quickly(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
 
     def evaluate(values):
         with double_precision():
