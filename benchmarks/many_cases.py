@@ -1,13 +1,15 @@
-"""Time, memory and errors of a fit to many cases.
+"""Time, memory and errors of a fit to many cases; time and memory of many predictions.
 
 Run ``python benchmarks/many_cases.py FOLDER [--preset physics] [--cases 100 1000 10000]
-[--workers 0 1 2]``.  The cases are random samples of the predictions of a ``physics`` model that
-is fitted to the published cases: they have the errors that the model has on cases left out.
-There are a tenth as many stenoses (blockage 40 to 85 %, position 1.8 to 2.2 cm, length 0.6 to
-1.2 cm), each under ten waveforms.  FOLDER stores them.  Each fit is a process of its own; it
-reports CPU seconds per case, the peak of the resident memory, and the errors on 500 further cases.
+[--workers 0 1 2] [--predict]``.  The cases are random samples of the predictions of a
+``physics`` model that is fitted to the published cases: they have the errors that the model has
+on cases left out.  There are a tenth as many stenoses (blockage 40 to 85 %, position 1.8 to
+2.2 cm, length 0.6 to 1.2 cm), each under ten waveforms.  FOLDER stores them.  Each fit is a
+process of its own; it reports CPU seconds per case, the peak of the resident memory, and the
+errors on 500 further cases.
 With ``--workers`` the cases are on a local dask cluster, and the CPU seconds of this process
-and of each worker are reported.
+and of each worker are reported.  With ``--predict``, the indices of so many other cases are
+predicted, and written to a file, in place of the fit.
 """
 
 from __future__ import annotations
@@ -72,18 +74,26 @@ def create(folder: Path) -> None:
             predict_to_file(model, path, q, s, labels=labels)
 
 
-def fit(folder: Path, preset: str, count: int, workers: int) -> dict[str, float]:
-    """Fit, and return time, memory and errors."""
-    cases = load_cases(folder / "train.h5")[:count]
+@contextmanager
+def measured(count: int, workers: int) -> Iterator[tuple[Any, dict[str, float]]]:
+    """Give the client of a cluster, or None, and a row with times and memory at the end."""
+    row: dict[str, float] = {"cases": count}
     with clients(workers) as client:
         before = client.run(time.process_time) if client else {}
         cpu, wall = time.process_time(), time.perf_counter()
-        model = PCNDE.fit(cases, preset, "jax", executor=client)
-        row = {"cases": count, "cpu_s": time.process_time() - cpu}
-        row |= {"ms_per_case": 1e3 * row["cpu_s"] / count, "wall_s": time.perf_counter() - wall}
+        yield client, row
+        row |= {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall}
+        row |= {"ms_per_case": 1e3 * row["cpu_s"] / count, "cases_per_s": count / row["wall_s"]}
         after = client.run(time.process_time) if client else {}
         row |= {f"worker_{n}_s": after[k] - v for n, (k, v) in enumerate(before.items())}
     row["peak_gb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def fit(folder: Path, preset: str, count: int, workers: int) -> dict[str, float]:
+    """Fit, and return time, memory and errors."""
+    cases = load_cases(folder / "train.h5")[:count]
+    with measured(count, workers) as (client, row):
+        model = PCNDE.fit(cases, preset, "jax", executor=client)
     if (serial := folder / f"{preset}-{count}-0.npz").exists():
         pairs = zip(load_model(serial).parameters, model.parameters, strict=True)
         found = [np.abs(a - b).max() / np.abs(a).max() for (_, a), (_, b) in pairs if a.any()]
@@ -91,6 +101,18 @@ def fit(folder: Path, preset: str, count: int, workers: int) -> dict[str, float]
     model.save(folder / f"{preset}-{count}-{workers}.npz")
     errors = model.evaluate(load_cases(folder / "test.h5")).iloc[-1]
     return row | {name: float(value) for name, value in errors.items()}
+
+
+def predict(folder: Path, count: int, workers: int) -> dict[str, float]:
+    """Write the indices of predictions to a file, and return time, memory and its size."""
+    model = load_model(folder / "model.npz", "jax")
+    path = folder / "predictions.h5"
+    q, s = inputs(count, model.grid.time.size, model.grid.z, 3)
+    with measured(count, workers) as (client, row):
+        predict_to_file(model, path, q, s, fields=False, executor=client, progress=False)
+    row["file_mb"] = path.stat().st_size / 1e6
+    path.unlink()
+    return row
 
 
 @contextmanager
@@ -114,16 +136,19 @@ def main() -> None:
     parser.add_argument("--preset", default="physics")
     parser.add_argument("--cases", type=int, nargs="+", default=[100, 1000, 10_000])
     parser.add_argument("--workers", type=int, nargs="+", default=[0])
-    parser.add_argument("--here", action="store_true", help="fit in this process, print JSON")
+    parser.add_argument("--here", action="store_true", help="run in this process, print JSON")
+    parser.add_argument("--predict", action="store_true", help="predict in place of fitting")
     options = parser.parse_args()
     folder, preset = options.folder, options.preset
     if options.here:
-        print(json.dumps(fit(folder, preset, options.cases[0], options.workers[0])))
+        size = options.cases[0], options.workers[0]
+        row = predict(folder, *size) if options.predict else fit(folder, preset, *size)
+        print(json.dumps(row))
         return
     create(folder)
     for count, workers in product(options.cases, options.workers):
         command = [sys.executable, __file__, folder, "--preset", preset, "--here"]
-        command += ["--cases", count, "--workers", workers]
+        command += ["--cases", count, "--workers", workers, *["--predict"] * options.predict]
         done = subprocess.run(map(str, command), check=True, stdout=subprocess.PIPE, text=True)
         row = {"workers": workers} | json.loads(done.stdout)
         print("  ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
