@@ -161,7 +161,7 @@ end
 """
     couple!(flow, area, workspace, inflow, area_undeformed, passes)
 
-Make all passes of one case; return whether all solves reached the outlet.
+Run all passes of one case; return whether all solves reached the outlet.
 """
 function couple!(flow, area, workspace::PredictionWorkspace, inflow, area_undeformed, passes)
     (; in_time, fourier, coefficients, hidden, steady) = workspace

@@ -79,7 +79,7 @@ end
     layout(parameters)
 
 Replace every array of Lux's nested parameters by its [`Piece`](@ref) of a flat vector, which
-holds the arrays one after the other, column by column.
+contains the arrays one after the other, column by column.
 """
 function layout(parameters)
     count = 0

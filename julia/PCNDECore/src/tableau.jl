@@ -7,7 +7,7 @@ Stage positions c of Tsit5. The seventh stage is the first one of the next step.
 const TSIT5_C = (0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0)
 
 """
-Stage weights of Tsit5, 7 × 7. Column i holds the weights of the slopes 1 … i − 1 in the
+Stage weights of Tsit5, 7 × 7. Column i contains the weights of the slopes 1 … i − 1 in the
 state at which slope i is evaluated; column 7 gives the state after the step.
 """
 const TSIT5_A = let a = zeros(7, 7)

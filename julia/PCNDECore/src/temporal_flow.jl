@@ -94,7 +94,7 @@ end
 """
     integrate!(problem, parameters)
 
-Make all steps of the cycle; return whether every value is finite.
+Integrate over the cycle; return whether every value is finite.
 """
 function integrate!(problem::TemporalFlow, parameters::AbstractVector{Float64})
     (; stage, network, inflow, step, flows) = problem

@@ -175,10 +175,10 @@ end
     # Products of functions of z and t.
     share = z ./ 4
     in_z = spatial_modes(there, share, z)
-    waves(t) = (2 * sin(t), 0.01 * cos(3t))
+    signals(t) = (2 * sin(t), 0.01 * cos(3t))
     for t in (0.7, 4.0)
-        inflow = first(waves(t)), 2 * cos(t), -2 * sin(t)
-        stored = last(waves(t)), -0.03 * sin(3t), -0.09 * cos(3t)
+        inflow = first(signals(t)), 2 * cos(t), -2 * sin(t)
+        stored = last(signals(t)), -0.03 * sin(3t), -0.09 * cos(3t)
         modes, rates = temporal_modes(inflow, stored, there.reference_flow)
         flow, rate = (inflow[i] .- share .* stored[i] for i in 1:2)
         @test in_z * collect(modes) ≈ drop(there, flow, rate) rtol = 1e-3
@@ -186,7 +186,7 @@ end
             function at(time)
                 q, d = (
                     (f(time), derivative(f, time), zero(time)) for
-                    f in (x -> waves(x)[1], x -> waves(x)[2])
+                    f in (x -> signals(x)[1], x -> signals(x)[2])
                 )
                 return temporal_modes(q, d, there.reference_flow)[1][mode]
             end

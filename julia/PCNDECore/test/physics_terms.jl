@@ -56,7 +56,7 @@ end
         end
         stage = FlowStage(; terms, hidden = [5, 4], steps = 9)
         check_gradient(with_terms(stage), sustained_parameters(stage); rtol = 1e-6)
-        # The gradient holds adaptive steps fixed; without kinks of S they do not matter.
+        # The gradient treats adaptive steps as fixed; without kinks of S they do not matter.
         stage = FlowStage(; terms, hidden = [4], activation = "gelu", loss = "sum", tight...)
         taper = range(1.0, 0.9, n_points) .* data.area[1:1, :, :]
         problem = with_terms(stage; area = taper)

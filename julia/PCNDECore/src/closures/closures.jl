@@ -6,7 +6,7 @@ Largest allowed change of the last coupling pass, relative to the largest inflow
 const CHANGE_LIMIT = 1e-4
 
 """
-Change of Q(L), relative to the largest inflow, below which a prediction makes no further pass.
+Change of Q(L), relative to the largest inflow, below which a prediction needs no further pass.
 """
 const PASS_TOLERANCE = 1e-9
 
@@ -159,8 +159,8 @@ end
     )
 
 Q, mL/s, (point, time, case), of the coupled equations, as a function of the parameters of the
-correction. `outlets` are those of [`outlet_laws`](@ref). `outward` (given, z) interpolates from z to the given points, of which `points` are
-indices.
+correction. `outlets` are those of [`outlet_laws`](@ref). `outward` (given, z) interpolates from
+z to the given points; `points` are indices of given points.
 """
 struct FlowClosure
     outlets::Vector{OutletLaw}
