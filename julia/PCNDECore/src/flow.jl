@@ -21,8 +21,8 @@
 Right-hand side dH/dz (state × case) of the reduced momentum equation: the last hidden
 layer h̃ at a state and a position, in place and without allocations.
 """
-struct HiddenRate{F}
-    network::Network{F}
+struct HiddenRate
+    network::Network
     z::Vector{Float64}          # cm
     along::Matrix{Float64}      # (first hidden, state): first layer's flow part × [W b] or I
     on_grid::Array{Float64, 3}  # (first hidden, case, z): the rest of the first layer
@@ -153,14 +153,14 @@ Momentum equation of several cases that share their steps, an [`Objective`](@ref
 
 `ArgumentError` if exactly one of the stage and `terms` has terms.
 """
-struct FlowProblem{F, T, L, I} <: Objective
+struct FlowProblem{T, L, I} <: Objective
     stage::FlowStage
     z::Vector{Float64}
     inflow::Matrix{Float64}         # (time, case)
     area::Matrix{Float64}           # (time, case·z)
     offset::Matrix{Float64}         # (time, case·z): Q_in − target
-    network::Network{F}
-    rate::HiddenRate{F}
+    network::Network
+    rate::HiddenRate
     terms::T                        # `nothing`, or a `TermsRate`
     output_map::L                   # Q = Q_in + output_map·state: [W b], or I
     norm::FlowNorm{L}

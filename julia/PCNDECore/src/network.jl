@@ -24,6 +24,25 @@ function chain(widths::AbstractVector{<:Integer}, activation::AbstractString)
     return Chain(layers...)
 end
 
+# Like Lux, replace some activations by faster ones of the same accuracy.
+fast(σ) = σ
+fast(::typeof(tanh)) = NNlib.tanh_fast
+fast(::typeof(NNlib.sigmoid)) = NNlib.sigmoid_fast
+
+"""
+Activation of a [`Network`](@ref). It is not a type parameter: solver and gradients are compiled
+once for all activations.
+"""
+const Activation = Union{(typeof(fast(σ)) for σ in values(ACTIVATIONS))...}
+
+"""
+    specialized(f, σ)
+
+Call `f(σ)`, compiled for the type of σ, without dynamic dispatch. Julia itself distinguishes at
+most four types of a union.
+"""
+@inline specialized(f, σ::Activation) = σ isa typeof(NNlib.tanh_fast) ? f(σ) : f(σ)
+
 """
     Network(chain)
 
@@ -31,8 +50,8 @@ Activation and matrices `[W b]` (out × in + 1) of a `Chain`, for inputs with an
 row of ones. A layer's weight and bias are adjacent in the flat parameter vector, so each
 matrix is one contiguous part of it.
 """
-struct Network{F}
-    activation::F
+struct Network
+    activation::Activation
     matrices::Vector{Matrix{Float64}}
 end
 
@@ -43,11 +62,6 @@ function Network(chain::Chain)
         [zeros(layer.out_dims, layer.in_dims + 1) for layer in layers],
     )
 end
-
-# Like Lux, replace some activations by faster ones of the same accuracy.
-fast(σ) = σ
-fast(::typeof(tanh)) = NNlib.tanh_fast
-fast(::typeof(NNlib.sigmoid)) = NNlib.sigmoid_fast
 
 Base.length(network::Network) = sum(length, network.matrices)
 
@@ -120,7 +134,7 @@ function forward!(a::Activations, network::Network, columns::Integer)
                 view(a.after[layer - 1], :, 1:columns),
             )
         end
-        activate!(after, before, network.activation, columns)
+        specialized(σ -> activate!(after, before, σ, columns), network.activation)
     end
     return a
 end
@@ -139,7 +153,13 @@ end
 
 `result = factor · dy/dx` elementwise; `factor` and `after` may have additional rows.
 """
-function times_derivative!(result, factor, before, after, σ::F) where {F}
+function times_derivative!(result, factor, before, after, activation::Activation)
+    return specialized(activation) do σ
+        times_derivative_of!(result, factor, before, after, σ)
+    end
+end
+
+function times_derivative_of!(result, factor, before, after, σ::F) where {F}
     @inbounds for column in axes(result, 2)
         @simd ivdep for row in axes(result, 1)
             result[row, column] =

@@ -45,9 +45,9 @@ end
 Right-hand side of the momentum equation with terms, (time, case), in place and without
 allocations.
 """
-struct TermsRate{F}
+struct TermsRate
     terms::PhysicsTerms
-    layers::HiddenRate{F}           # of the network, except the last one
+    layers::HiddenRate              # of the network, except the last one
     inflow::Matrix{Float64}         # (time, case)
     area::Matrix{Float64}           # (time, case·z)
     area_slope::Matrix{Float64}     # (time, case·z): ∂S/∂z

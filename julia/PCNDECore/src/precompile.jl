@@ -37,27 +37,25 @@
         for a in (z, inflow, area)
             GC.@preserve a copy_python_array(Int(pointer(a)), size(a)...)
         end
-        for activation in keys(ACTIVATIONS)
-            chosen = config(
-                """
-                flow.hidden = [2, 2, 2, 2]
-                flow.activation = "$activation"
-                flow.rtol = 0.001
-                temporal_pressure.hidden = [2, 2]
-                temporal_pressure.activation = "$activation"
-                temporal_flow.hidden = [2, 2, 2, 2]
-                temporal_flow.activation = "$activation"
-                """,
-            )
-            for (θ, (stage, arrays)) in zip(parameters, inputs)
-                solve(stage, θ, arrays, z, 1.0, chosen)
-                loss_and_gradient(stage, θ, arrays, flow, z, 1.0, chosen)
-                losses(stage, reshape(θ, :, 1), arrays, flow, z, 1.0, chosen)
-                fit(stage, θ, arrays, flow, z, 1.0, chosen, 2, (_, _) -> nothing)
-            end
-            for θ in (parameters[1:5], (parameters[1:3]..., Float64[], Float64[]))
-                predict(θ, inflow, area_undeformed, z, 1.0, 2, chosen)
-            end
+        for activation in keys(ACTIVATIONS), n_layers in (3, 5)
+            Network(chain(fill(2, n_layers + 1), activation))
+        end
+        chosen = config(
+            """
+            flow.hidden = [2, 2, 2, 2]
+            flow.rtol = 0.001
+            temporal_pressure.hidden = [2, 2]
+            temporal_flow.hidden = [2, 2, 2, 2]
+            """,
+        )
+        for (θ, (stage, arrays)) in zip(parameters, inputs)
+            solve(stage, θ, arrays, z, 1.0, chosen)
+            loss_and_gradient(stage, θ, arrays, flow, z, 1.0, chosen)
+            losses(stage, reshape(θ, :, 1), arrays, flow, z, 1.0, chosen)
+            fit(stage, θ, arrays, flow, z, 1.0, chosen, 2, (_, _) -> nothing)
+        end
+        for θ in (parameters[1:5], (parameters[1:3]..., Float64[], Float64[]))
+            predict(θ, inflow, area_undeformed, z, 1.0, 2, chosen)
         end
         with_terms = config("flow.terms = [\"friction\"]\nflow.hidden = [2, 2, 2, 2]")
         θ = first(parameters)

@@ -15,9 +15,9 @@ Squared error of the flow in time, an [`Objective`](@ref).
   - `period`: cycle length, s.
   - `stage`: a [`TemporalFlowStage`](@ref).
 """
-struct TemporalFlow{F} <: Objective
+struct TemporalFlow <: Objective
     stage::TemporalFlowStage
-    network::Network{F}
+    network::Network
     inflow::Matrix{Float64}
     step::Float64                   # s
     flows::Array{Float64, 3}        # (z, case, step): Q before each step, and after the last

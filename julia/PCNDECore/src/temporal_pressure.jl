@@ -12,11 +12,11 @@ Squared error of p̂/p_ref as a function of the network's parameters.
   - `area_undeformed`: S_u, cm², (z, case); r₀ is the radius of its first point.
   - `target`: p/p_ref, (z, time, case).
 """
-struct TemporalPressure{F} <: Objective
+struct TemporalPressure <: Objective
     inputs::Matrix{Float64}      # (4z + 1, time·case)
     stiffness::Vector{Float64}   # E·h/(r₀·p_ref), (time·case)
     target::Matrix{Float64}      # (z, time·case)
-    network::Network{F}
+    network::Network
     activations::Activations
     residual::Matrix{Float64}    # (z, time·case)
     deltas::Vector{Matrix{Float64}}
