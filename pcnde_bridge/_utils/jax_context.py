@@ -44,7 +44,8 @@ if hasattr(os, "register_at_fork"):
 
 _SHORTEST_COMPILATION = 0.1  # s; loading a function takes about 0.01 s
 _LARGEST_CACHE, _FREE_SPACE = 1 << 30, 1 << 29  # bytes
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = (-1, 1 << 26), (-3, 1 << 25)  # at most, by default
+# M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of mallopt, and the largest that glibc itself chooses.
+_THRESHOLDS = (-1, 1 << 26), (-3, 1 << 25)  # bytes
 
 
 @cache
@@ -65,12 +66,12 @@ def _start() -> None:
 def _reuse_memory() -> None:
     """Let glibc reuse the memory of arrays in workers of dask, whose setting returns it at once.
 
-    To get it again for each computation takes longer than most computations.
+    Requesting it again for each computation takes longer than most computations.
     """
     if os.environ.get("MALLOC_TRIM_THRESHOLD_") == "65536":
         with suppress(AttributeError, OSError, TypeError):  # another C library
             mallopt = ctypes.CDLL(None).mallopt
-            for threshold in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
+            for threshold in _THRESHOLDS:
                 mallopt(*threshold)
 
 

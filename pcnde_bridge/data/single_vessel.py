@@ -42,8 +42,8 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     ------
     InputError
         See :func:`check_flow` and :func:`check_samples`; also if there are several equal cycles,
-        if a variable is shifted in time or reversed, or if most of the wall shear stress
-        points against the flow.
+        if pressures are missing, if a variable is shifted in time or reversed, or if most of the
+        wall shear stress points against the flow.
     """
     check_axes(variables["flow"])
     moving = [variables[n] for n in VARIABLES if np.ptp(variables[n], axis=0).all()]
@@ -58,8 +58,10 @@ def check_vessel(variables: Mapping[str, Array], z: Array, time: Array, flip: st
     lost &= ~lost.all(axis=0)
     others = variables["pressure"][~lost]
     if lost.any() and others.min() > 0.2 * np.median(others):
+        row, at = np.argwhere(lost)[0]
         raise InputError(
-            "some pressures are 0, and all others are not near it: they are missing values."
+            f"pressure is 0 at {time[row]:g} s (time point {row}, point {at}), and all others are "
+            f"{others.min():.4g} or more: values are missing. Correct them, or interpolate them."
         )
     check_flow(variables["flow"], variables["area"], z, flip)
     stress = variables.get("wall_shear_stress", np.ones((1, 1)))
@@ -150,7 +152,8 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
     Raises
     ------
     InputError
-        If there is a gap between the end and the start, or a time point is damaged.
+        If there is a gap between the end and the start, a time point is damaged, or the time
+        points are in the order of text.
     """
     if _is_coarse(time):
         return
@@ -192,6 +195,7 @@ def check_samples(name: str, values: Array, time: Array, column: str = "point") 
 
 
 def _roughness(values: Array) -> float:
+    """Return the sum of squares of the second differences of periodic signals."""
     steps = values - np.roll(values, 1, axis=0)
     return float(np.square(steps - np.roll(steps, 1, axis=0)).sum())
 
