@@ -5,8 +5,8 @@ Run ``python benchmarks/many_cases.py FOLDER [--preset physics] [--cases 100 100
 ``physics`` model that is fitted to the published cases: they have the errors that the model has
 on cases left out.  There are a tenth as many stenoses (blockage 40 to 85 %, position 1.8 to
 2.2 cm, length 0.6 to 1.2 cm), each under ten waveforms.  FOLDER stores them.  Each fit is a
-process of its own; it reports CPU seconds per case, the peak of the resident memory, and the
-errors on 500 further cases.
+process of its own; it reports CPU seconds per case, the peak of the resident memory, with the
+pages of the file that it has read, and the errors on 500 further cases.
 With ``--workers`` the cases are on a local dask cluster, and the CPU seconds of this process
 and of each worker are reported.  With ``--predict``, the indices of so many other cases are
 predicted, and written to a file, in place of the fit.
