@@ -84,7 +84,7 @@ def momentum(
     profile -= profile.mean(axis=1, keepdims=True)
     # By least squares over all points, which noise does not change much.
     size = np.maximum((profile**2).sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    falls = -(pressure @ (profile / size)[:, :, None])[:, :, 0]
+    falls = -np.einsum("ctz,cz->ct", pressure, profile / size)
     for case, q in enumerate(means / np.abs(means).max(axis=1, keepdims=True).clip(1e-300)):
         losses = np.stack([np.ones_like(q), q, q * np.abs(q)], axis=1)
         drop, rate = _rest(losses, drops[case]), _rest(losses, accelerations[case])

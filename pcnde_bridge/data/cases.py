@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -207,6 +208,10 @@ class Cases(VesselQuantities):
             64 hexadecimal digits (SHA-256).  Two data sets are equal exactly if their
             fingerprints are equal.
         """
+        return self._fingerprint
+
+    @cached_property
+    def _fingerprint(self) -> str:
         return sha256_arrays(self._contents())
 
     def _contents(self) -> dict[str, AnyArray]:
@@ -251,7 +256,8 @@ class Cases(VesselQuantities):
             rows = positions
         taken = object.__new__(Cases)
         arrays = {**self.variables(), "area_undeformed": self.area_undeformed}
-        state = self.__dict__ | {name: values[rows] for name, values in arrays.items()}
+        state = {name: getattr(self, name) for name in ("time", "z", "period", "wall_shear_stress")}
+        state |= {name: values[rows] for name, values in arrays.items()}
         state["_labels"] = self._labels.iloc[positions].reset_index(drop=True)
         taken.__setstate__(state)
         return taken

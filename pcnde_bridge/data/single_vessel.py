@@ -207,13 +207,13 @@ def _gaps(values: Array, floor: Array) -> Array:
     through those on one side, or from both polynomials of degree 3 and 4, whichever side is nearer.
     """
     found: list[Array] = []
-    for weights in ((1,), (2, -1), (3, -3, 1), (4, -6, 4, -1), (5, -10, 10, -5, 1)):
-        off = [
-            values - sum(w * np.roll(values, side * n, axis=0) for n, w in enumerate(weights, 1))
-            for side in (1, -1)
-        ]
-        jumps = np.minimum(np.abs(off[0]), np.abs(np.roll(off[1], 1, axis=0)))
-        found.append(jumps[0] / np.maximum(jumps[len(weights) : -2].max(axis=0), floor))
+    difference = values
+    for order in range(1, 6):
+        # From the points before; that of the point before from those after it comes later.
+        difference = difference - np.roll(difference, 1, axis=0)
+        size = np.abs(difference)
+        jumps = np.minimum(size, np.roll(size, 1 - order, axis=0))
+        found.append(jumps[0] / np.maximum(jumps[order:-2].max(axis=0), floor))
     step, line, parabola, cubic, quartic = found
     gaps = np.maximum(step, np.minimum(line, parabola))
     # Coarse samples of smooth signals are no polynomials of higher degree.

@@ -11,6 +11,7 @@ narrow for strong ones.  On the cases left out, e(z) is the 68 % quantile of the
 each point, and c is chosen so that 90 % intervals contain 90 % of the values.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -113,14 +114,16 @@ def shared_error(error: Array, relative: Array) -> Array:
     return np.quantile(error / relative[:, None, None], 0.68, axis=(1, 2))
 
 
-def fit_scales(profile: Array, error: Array, spread: Array, relative: Array) -> tuple[Array, Array]:
+def fit_scales(
+    profile: Iterable[Array], error: Iterable[Array], spread: Iterable[Array], relative: Array
+) -> tuple[Array, Array]:
     """Find the factors c that make 90 % intervals contain 90 % of the values.
 
     Parameters
     ----------
-    profile : array of shape (3, z)
-        Result of :func:`shared_error`.
-    error, spread : array of shape (3, case, time, z)
+    profile : three arrays of shape (z,)
+        Result of :func:`shared_error`; the points of a variable may be only some of those.
+    error, spread : three arrays of shape (case, time, z)
         Absolute errors of the cases left out, and the spread s of their predictions.
     relative : array of shape (case,)
         Result of :func:`relative_amplitude`.
@@ -130,9 +133,10 @@ def fit_scales(profile: Array, error: Array, spread: Array, relative: Array) -> 
     tuple of arrays of shape (3,)
         The factors, and the mean standard deviations.
     """
-    width = np.hypot(spread, relative[:, None, None] * profile[:, None, None])
-    found = np.array([_factor(*pair) for pair in zip(error, width, strict=True)])
-    return found, found * width.mean(axis=(1, 2, 3))
+    size = relative[:, None, None]
+    widths = [np.hypot(s, size * e) for s, e in zip(spread, profile, strict=True)]
+    found = np.array([_factor(*pair) for pair in zip(error, widths, strict=True)])
+    return found, found * [width.mean() for width in widths]
 
 
 def fit_loss_scales(error: Array, losses: Array, dynamic: Array) -> Array:

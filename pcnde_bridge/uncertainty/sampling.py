@@ -26,7 +26,7 @@ that gives the narrowest intervals.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -243,7 +243,7 @@ def calibrate(
     errors: list[Array] = []
     drops: list[Array] = []  # for each fold, errors of the drop and their two scales
     shears: list[Array] = []  # for each fold, the same of the wall shear stress at all points
-    spreads: list[list[Array]] = []  # for each fold, one for each of _SHIFTS
+    spreads: list[list[list[Array]]] = []  # for each fold, shift and variable
     for member, fold in zip(members, left_out, strict=True):
         truth = cases.select(fold)
         inputs = ModelInputs(truth.inflow, truth.area_undeformed, truth.grid)
@@ -260,20 +260,21 @@ def calibrate(
             parts = shear - np.abs(truth.wall_shear_stress), shear, scale
             few = [np.moveaxis(part[:, :: -(-shear.shape[1] // _TIMES)], 1, -1) for part in parts]
             shears.append(np.stack([part.reshape(-1, part.shape[-1]) for part in few]))
-        spreads.append([np.zeros_like(errors[-1])])
+        spreads.append([[np.zeros_like(values) for values in _until_outlet(errors[-1])]])
         for shift in _SHIFTS[1:]:
             shifts = np.tile(shift * _NODES[:, None], len(truth))
             samples = model.predict(member, shifts, inputs, at_end)
-            spreads[-1].append(np.stack([_normal_spread(samples[name]) for name in VARIABLES]))
+            of_each = _until_outlet([samples[name] for name in VARIABLES])
+            spreads[-1].append([_normal_spread(values) for values in of_each])
     error = np.concatenate(errors, axis=1)
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
     profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
     profile[-1] = profile[-1, -1]
-    # That of the pressure is for the outlet: the drop has widths of its own.
-    error[-1] = error[-1, ..., -1:]
-    spread = np.concatenate(spreads, axis=2)
-    spread[:, -1] = spread[:, -1, ..., -1:]
-    found = [fit_scales(profile, error, s, relative) for s in spread]
+    known = _until_outlet(profile), _until_outlet(error)
+    found = []
+    for of_folds in zip(*spreads, strict=True):
+        spread = [np.concatenate(values) for values in zip(*of_folds, strict=True)]
+        found.append(fit_scales(*known, spread, relative))
     # The intervals are compared by their mean widths in terms of the errors.
     best = int(np.argmin([np.sum(mean / size) for _, mean in found]))
     scale = found[best][0]
@@ -281,6 +282,12 @@ def calibrate(
     shear = fit_loss_scales(*np.concatenate(shears, axis=1)) if shears else np.empty(0)
     widths = np.array([_SHIFTS[best]]), losses, shear
     return Uncertainty(np.array(members), *widths, profile, scale, reference)
+
+
+def _until_outlet(values: Iterable[Array]) -> list[Array]:
+    """Return flow and area, and the pressure at the outlet: its drop has widths of its own."""
+    flow, area, pressure = values
+    return [flow, area, pressure[..., -1:]]
 
 
 def _normal_spread(values: Array) -> Array:
