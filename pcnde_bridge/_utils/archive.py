@@ -20,6 +20,7 @@ from pcnde_bridge.errors import FileError
 
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
+_AT_ONCE = 1 << 26  # bytes of an array on disk that are in memory for a checksum
 _MODEL_KINDS = {"pcnde-model", "pcnde-ensemble"}  # load_model reads both
 _NAMES_OF_KINDS = {"pcnde-cases": "a data set", None: "something else"}
 _SIGNATURES = {b"PK": "", b"\x89HDF": "an HDF5"}  # first bytes of .npz and other files
@@ -209,8 +210,10 @@ def sha256_arrays(arrays: Mapping[str, AnyArray]) -> str:
             raise TypeError(f"array {name!r} holds Python objects; it has no checksum")
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
         digest.update(f"{name}|{little.dtype.str}|{array.shape}|".encode())
-        digest.update(little.tobytes() if little.dtype.kind == "U" else little.data)
-        release(array)
+        values = little.reshape(-1).view(np.uint8).data
+        for start in range(0, len(values), _AT_ONCE):
+            digest.update(values[start : start + _AT_ONCE])
+            release(array)
     return digest.hexdigest()
 
 

@@ -78,10 +78,10 @@ def test_equality_hash_and_copies(small_cases):
 FINGERPRINT = "0a3702f9973f473c4911ec9e30ecca9b93073bd9be8e4957d399b81540935744"
 
 
-def test_a_subset_has_a_fingerprint_of_its_own(ten_cases):
-    whole = ten_cases.fingerprint()
-    assert ten_cases[:2].fingerprint() == ten_cases[[1, 0]][[1, 0]].fingerprint() != whole
-    assert copy.copy(ten_cases).fingerprint() == whole
+def test_a_subset_has_a_fingerprint_of_its_own(small_cases):
+    whole = small_cases.fingerprint()
+    assert small_cases[:2].fingerprint() == small_cases[[1, 0]][[1, 0]].fingerprint() != whole
+    assert copy.copy(small_cases).fingerprint() == whole
 
 
 def test_fingerprint_is_the_same_on_every_machine_and_version():
