@@ -251,6 +251,9 @@ class FullBatch(Section):
 
     Attributes
     ----------
+    most_cases : int
+        Largest number of cases in memory: of more training cases, so many are chosen at random.
+        The errors do not decrease beyond about 100.
     rounds : int
         Number of fits of the flow, each followed by a fit of the area, which is then coupled
         back.
@@ -279,6 +282,7 @@ class FullBatch(Section):
         the objective, in which the loss is divided by the mean square of the target.
     """
 
+    most_cases: int = positive(512)
     rounds: int = positive(2)
     mean_flow: Literal["area", "data"] = "area"
     amplitude_exponent: float = 1.5

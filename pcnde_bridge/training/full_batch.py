@@ -20,7 +20,10 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge._typing import Array
-from pcnde_bridge.data.selection import Positions
+from pcnde_bridge.config import PCNDEConfig
+from pcnde_bridge.data.cases import Cases
+from pcnde_bridge.data.selection import Positions, some_of
+from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.engines.types import FitData
 from pcnde_bridge.training.area_fit import fit_area_stage
 from pcnde_bridge.training.flow_fit import fit_flow
@@ -31,11 +34,15 @@ from pcnde_bridge.training.staged_training import StagedTraining, TrainingState
 
 
 class FullBatchTraining(StagedTraining):
-    """Fits every stage to all cases at once."""
+    """Fits every stage to all cases at once, or to as many as the settings allow."""
+
+    def __init__(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> None:
+        self._used = some_of(np.arange(len(cases)), config.full_batch.most_cases)
+        super().__init__(cases.select(self._used), config, engine)
 
     def divide(self, _: int) -> tuple[Positions, ...]:
-        """Return all cases as one batch."""
-        return (np.arange(len(self.cases)),)
+        """Return the cases in use as one batch."""
+        return (self._used,)
 
     def steps(self, _: TrainingState) -> list[Step]:
         """Return all steps of a run: rounds of flow and area, then the pressure."""

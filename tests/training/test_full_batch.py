@@ -159,6 +159,14 @@ def test_a_whole_fit(engine, small_cases, grid, tmp_path):
     assert PCNDE.load(tmp_path / "model.npz", engine=engine).config == LITTLE
 
 
+def test_no_more_cases_are_used_than_the_settings_allow(engine, small_cases):
+    few = LITTLE.replace(full_batch={"most_cases": 5})
+    state = train(small_cases, engine, few)
+    (used,) = state.facts["batches"]
+    assert len(used) == 5 and used == sorted(set(used)) and max(used) < len(small_cases)
+    assert state.parameters == train(small_cases.select(used), engine).parameters
+
+
 @pytest.mark.julia
 def test_a_whole_fit_with_julia_is_as_good_and_can_be_interrupted(engine, small_cases, tmp_path):
     julia = julia_or_skip()
