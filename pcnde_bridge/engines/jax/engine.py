@@ -6,7 +6,6 @@ from importlib.metadata import version
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from pcnde_bridge._utils.jax_context import double_precision
 from pcnde_bridge.config import PCNDEConfig
@@ -73,7 +72,7 @@ class JaxEngine(Engine):
             return predict_by_stages(self, parameters, inputs, config)
         *arrays, grid = inputs
         with double_precision():
-            vectors = {stage: jnp.asarray(vector) for stage, vector in parameters}
+            vectors = jax.device_put(dict(parameters))
             compute = partial(predict, vectors, grid=on_device(grid), config=config)
             return Solution(*in_batches(compute, tuple(arrays)))
 

@@ -171,7 +171,7 @@ def in_batches(compute: Callable[[Inputs], Inputs], arrays: StageInputs) -> Stag
     for start in range(0, len(arrays[0]), _LARGEST_BATCH):
         part = tuple(a[start : start + _LARGEST_BATCH] for a in arrays)
         count = len(part[0])
-        computed = compute(jax.tree.map(jnp.asarray, _padded(part)))
+        computed = compute(jax.device_put(_padded(part)))
         results = [np.asarray(result)[:count] for result in computed]
         failed = np.flatnonzero(~np.isfinite(results[0]).all(axis=(1, 2)))
         if failed.size:
@@ -189,14 +189,14 @@ def in_batches(compute: Callable[[Inputs], Inputs], arrays: StageInputs) -> Stag
 
 def on_device(grid: Grid) -> GridArrays:
     """Return points and period as JAX arrays."""
-    return jnp.asarray(grid.z), jnp.asarray(grid.period)
+    return jax.device_put((grid.z, grid.period))
 
 
 def _on_device(data: FitData, weight: Array) -> tuple[Any, ...]:
     """Return inputs, weights and target, and the grid, as JAX arrays."""
     with double_precision():
         arrays = tuple(data.inputs), weight.astype(float), data.target
-        return *jax.tree.map(jnp.asarray, arrays), on_device(data.grid)
+        return *jax.device_put(arrays), on_device(data.grid)
 
 
 def _padded_data(data: FitData) -> tuple[Any, ...]:

@@ -359,14 +359,12 @@ def _problem(
     count = len(jax.tree.leaves(cases)[0])
     padded = jax.tree.map(partial(_padded, size=_rounded(count)), cases)
     with double_precision():
-        on_device = jax.tree.map(jnp.asarray, (padded, fixed))
+        on_device = jax.device_put((padded, fixed))
     settings = _relevant(config)
 
     def evaluate(parameters: Array) -> tuple[Array, Array]:
         with double_precision():
-            value, jacobian = _value_and_jacobian(
-                function, jnp.asarray(parameters), *on_device, config=settings
-            )
+            value, jacobian = _value_and_jacobian(function, parameters, *on_device, config=settings)
             return np.asarray(value)[:count], np.asarray(jacobian)[:count]
 
     return evaluate
