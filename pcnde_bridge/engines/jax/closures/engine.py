@@ -77,8 +77,9 @@ class JaxClosures(Closures):
         distinct, which = np.unique(area_undeformed, axis=0, return_inverse=True)
         which = which.ravel()  # NumPy 2.0.0 returns a column
         if name == "losses":
-            if len(distinct) > _FEW:  # so that few numbers of vessels are compiled
-                distinct = _padded(distinct, -(-len(distinct) // _FEW) * _FEW)
+            # Few numbers of vessels are compiled: even ones, and multiples of _FEW beyond it.
+            step = _FEW if len(distinct) > _FEW else 2
+            distinct = _padded(distinct, -(-len(distinct) // step) * step)
             return _problem(_losses, (which, flow, flow_rate), (distinct, grid.z), config)
         own_points = config.replace(losses={"spacing": None})
         (modes, terms), which = _vessels_of(parameters[0], area_undeformed, grid, own_points)
