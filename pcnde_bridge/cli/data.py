@@ -100,7 +100,8 @@ def design(
     """Choose the simulations to run, from inflows and vessels.
 
     Candidates are all pairs of vessel and inflow. With --done, choose further simulations,
-    train a model (preset physics) on the finished ones, and estimate its errors for all pairs.
+    train a model (preset physics) on the finished ones, if there are four or more, and estimate its
+    errors for all pairs.
     """
     from pcnde_bridge._utils.validation import listed
     from pcnde_bridge.data.selection import case_keys, pair_positions
@@ -129,7 +130,9 @@ def design(
         geometry, waveform = labels.to_numpy()[case]
         say(f"geometry {geometry}, waveform {waveform}: {reason}")
     say(f"Saved the list and the input of the simulations in {out}.")
-    if finished is not None:
+    if finished is not None and len(finished) < 4:
+        say("An estimate of the errors needs at least four finished simulations.")
+    elif finished is not None:
         model = PCNDE.fit(finished, "physics")
         show_numbers(designs.expected_errors(model, candidates), "estimated error")
 

@@ -17,7 +17,7 @@ import pandas as pd
 
 from pcnde_bridge._typing import Array, StrPath
 from pcnde_bridge._utils.files import make_folder, write_csv
-from pcnde_bridge._utils.validation import whole
+from pcnde_bridge._utils.validation import counted, whole
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.data.units import in_cgs, stated_units
 from pcnde_bridge.data.variables import VARIABLES
@@ -112,23 +112,31 @@ def choose(
     if len(set(chosen)) < len(chosen) or not all(0 <= case < total for case in chosen):
         raise InputError(f"done must be different positions of the {total} candidates.")
     if whole("count", count, 1) > total - len(chosen):
-        left = f"{total - len(chosen)} of {total} candidates are left"
-        raise InputError(f"{count} simulations cannot be chosen: {left}.")
+        left = f"{total - len(chosen)} of {counted(total, 'candidate')} are left"
+        raise InputError(f"{counted(count, 'simulation')} cannot be chosen: {left}.")
     names, values, points, targets = _scaled(candidates, use or candidates)
-    distance = np.linalg.norm(targets[:, None] - points, axis=2)  # (use, candidate)
+    near = np.full(len(targets), np.inf)  # distance of each case to its nearest simulation
+    for case in chosen:
+        near = np.minimum(near, _distances(targets, points[case]))
+    # The first one is at one end of the longest distance, the second one at the other.
+    far = near if chosen else np.array([_distances(points, target).max() for target in targets])
+    farthest = int(far.argmax())
     rows: list[dict[str, Any]] = []
     for _ in range(count):
         free = np.setdiff1d(np.arange(total), chosen)
-        # The first one is at one end of the longest distance, the second one at the other.
-        near = distance[:, chosen].min(axis=1) if chosen else distance.max(axis=1)
-        case = int(free[distance[near.argmax(), free].argmin()])
+        case = int(free[_distances(points[free], targets[farthest]).argmin()])
         reason = _reason(names, values, points, case, chosen)
         chosen.append(case)
-        near = distance[:, chosen].min(axis=1)
+        near = np.minimum(near, _distances(targets, points[case]))
+        farthest = int(near.argmax())
         found = dict(zip(names, values[case], strict=True))
         rows.append({"case": case, **found, "reason": reason})
-        rows[-1] |= {"uncovered": near.max(), "farthest": int(near.argmax())}
+        rows[-1] |= {"uncovered": near.max(), "farthest": farthest}
     return pd.DataFrame(rows)
+
+
+def _distances(points: Array, point: Array) -> Array:
+    return np.linalg.norm(points - point, axis=1)
 
 
 def _scaled(candidates: ModelInputs, use: ModelInputs) -> tuple[list[str], Array, Array, Array]:
@@ -160,6 +168,8 @@ def _reason(
         return "one end of the longest distance"
     moved = points[before] - points[case]
     nearest = int(np.linalg.norm(moved, axis=1).argmin())
+    if not moved[nearest].any():
+        return "same quantities as a chosen case"
     most = int(np.abs(moved[nearest]).argmax())
     there = values[before[nearest], most]
     return f"{names[most]} {values[case, most]:.3g}; nearest chosen case: {there:.3g}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -78,6 +80,31 @@ def test_finished_simulations_are_not_chosen_again(candidates):
     everything = design.choose(inputs, 25)
     assert sorted(everything["case"]) == list(range(25))
     assert everything["uncovered"].iloc[-1] == 0
+
+
+def test_equal_candidates_can_be_chosen(candidates):
+    inputs, _ = candidates
+    equal = inputs._replace(
+        inflow=inputs.inflow[[0, 0, 0]], area_undeformed=inputs.area_undeformed[[0, 0, 0]]
+    )
+    chosen = design.choose(equal, 3)
+    assert chosen["case"].tolist() == [0, 1, 2]
+    assert chosen["reason"].tolist()[1:] == 2 * ["same quantities as a chosen case"]
+    assert (chosen["uncovered"] == 0).all()
+
+
+def test_thousands_of_candidates_need_little_memory(candidates):
+    """No array has a number for each pair of candidates."""
+    inputs, labels = candidates
+    rows = np.arange(4000) % len(labels)
+    inflow = inputs.inflow[rows] * np.linspace(1.0, 1.2, 4000)[:, None]
+    many = inputs._replace(inflow=inflow, area_undeformed=inputs.area_undeformed[rows])
+    tracemalloc.start()
+    chosen = design.choose(many, 3)
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(chosen) == 3
+    assert used < 8 * 4000**2 / 2
 
 
 def test_the_design_covers_what_the_model_is_used_for(candidates):
@@ -174,3 +201,7 @@ def test_command_with_finished_simulations(physics_cases, tmp_path, run_pcnde):
     code, _, err = run_pcnde("design", *given, "--out", tmp_path / "runs", "--count", 5, *done)
     assert code == 2
     assert "4 of 16 candidates are left" in err
+    cases.select(slice(0, 3)).save(tmp_path / "done.npz")
+    code, out, _ = run_pcnde("design", *given, "--out", tmp_path / "runs", "--count", 2, *done)
+    assert code == 0
+    assert "needs at least four finished simulations" in out
