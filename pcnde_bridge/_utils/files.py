@@ -228,6 +228,24 @@ def check_writable(path: StrPath, size: int = 0) -> None:
             )
 
 
+def reserve(path: Path) -> None:
+    """Allocate the space of a file that is as long as its content will be.
+
+    Writing to a memory map of a file without space ends the process.
+
+    Raises
+    ------
+    OSError
+        If the disk has too little space.
+    """
+    size = path.stat().st_size
+    if hasattr(os, "posix_fallocate"):
+        with path.open("rb+") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    elif shutil.disk_usage(path.parent).free < size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def make_folder(folder: Path) -> None:
     """Create a folder and its parents where they are missing.
 

@@ -14,11 +14,11 @@ import pandas as pd
 
 from pcnde_bridge._typing import AnyArray, Array, BoolArray, IntArray, StrPath
 from pcnde_bridge._utils.archive import sha256_arrays
-from pcnde_bridge._utils.files import atomic_write, locked, make_folder
+from pcnde_bridge._utils.files import atomic_write, check_writable, locked, make_folder, reserve
 from pcnde_bridge._utils.hdf5 import map_dataset
 from pcnde_bridge._utils.parallel import Workers, run
 from pcnde_bridge._utils.result_folder import remove_results
-from pcnde_bridge._utils.validation import counted, finite_array, listed, whole
+from pcnde_bridge._utils.validation import check_values, counted, finite_array, listed, whole
 from pcnde_bridge.data.cases import sign_cases
 from pcnde_bridge.data.files import create_cases
 from pcnde_bridge.data.labels import check_labels, label_arrays
@@ -30,6 +30,7 @@ from pcnde_bridge.model.predictor import Predictor
 from pcnde_bridge.uncertainty.novelty import EDGE
 
 _EXAMPLE = 16  # cases from which the shapes of the file are known
+_OPTIONS = ("z", "period", "outlet", "units")
 
 
 def predict_to_file(
@@ -63,8 +64,8 @@ def predict_to_file(
         Labels of the cases, see :class:`~pcnde_bridge.Cases`; by default each is a geometry.
     fields : bool
         Whether to write flow, area, pressure and wall shear stress: the file is a data set then,
-        which :func:`pcnde_bridge.load_cases` reads.  The group ``indices`` has the columns of
-        :meth:`pcnde_bridge.Cases.indices` and the ``novelty`` of each case in any case.
+        which :func:`pcnde_bridge.load_cases` reads if all cases were predicted.  The group
+        ``indices`` always has the columns of :meth:`pcnde_bridge.Cases.indices` and ``novelty``.
     batch : int
         Number of cases in each batch.
     executor : Executor, int or distributed.Client, optional
@@ -96,11 +97,12 @@ def predict_to_file(
     target, size = Path(path), whole("batch", batch, 1)
     if target.suffix.lower() not in (".h5", ".hdf5"):
         raise FileError(f"Cannot write {target}: the name must end in .h5 or .hdf5.")
-    inputs = [
-        a if isinstance(a, np.memmap) else finite_array(name, a)
-        for name, a in (("inflow", inflow), ("area_undeformed", area_undeformed))
-    ]
-    q, s_u = (array if array.ndim == 2 else array[None] for array in inputs)
+    if not isinstance(model, Predictor):
+        raise InputError(f"model must be a fitted model, got {type(model).__name__}.")
+    if unknown := sorted(options.keys() - _OPTIONS):
+        raise InputError(f"There is no option {unknown[0]!r} here; there are {listed(_OPTIONS)}.")
+    q, s_u = _rows("inflow", inflow), _rows("area_undeformed", area_undeformed)
+    check_values("area_undeformed", s_u, s_u <= 0, "areas must be positive (cm²)")
     count = max(len(q), len(s_u))
     if not {len(q), len(s_u)} <= {1, count}:
         raise InputError(f"inflow has {len(q)} cases and area_undeformed {len(s_u)}.")
@@ -112,11 +114,20 @@ def predict_to_file(
     parts = target.with_name(target.name + ".unfinished")
     draft = parts / f"{sha256_arrays({'facts': np.array(str(facts))})[:16]}.h5"
     with locked(target):
+        check_writable(target)
         if not draft.exists():
-            make_folder(parts)
+            if any(parts.glob("*.npz")):
+                raise InputError(
+                    f"{parts} has the result of other tasks (other inputs, options or another "
+                    "model): repeat that run, remove this folder, or write to another file."
+                )
             example, _ = _solve(model, q[:_EXAMPLE], s_u[:_EXAMPLE], options)
+            make_folder(parts)
+            for unused in parts.glob("*.h5"):
+                unused.unlink()
             with atomic_write(draft) as temporary:
                 create_cases(temporary, table | _shapes(example, count, fields))
+                reserve(temporary)
         tasks = {
             f"cases {rows.start} to {rows.stop - 1}": _Batch(
                 model, draft, rows.start, _part(q, rows), _part(s_u, rows), options
@@ -140,6 +151,14 @@ def predict_to_file(
         if number:
             warnings.warn(f"{number} of {counted(count, 'case')} {what}.", PCNDEWarning, 2)
     return failed
+
+
+def _rows(name: str, values: npt.ArrayLike) -> Array:
+    """Return an input as an array (case, n); a memory map is returned as it is."""
+    array = values if isinstance(values, np.memmap) else finite_array(name, values)
+    if array.ndim not in (1, 2) or not array.size:
+        raise InputError(f"{name} must have the shape (case, n) or (n,), got {array.shape}.")
+    return array if array.ndim == 2 else array[None]
 
 
 def _facts_of(options: Mapping[str, Any]) -> dict[str, Any]:

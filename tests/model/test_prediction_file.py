@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import warnings
 
 import h5py
@@ -69,10 +71,35 @@ def test_an_interrupted_run_is_continued(physics_model, inputs, path, monkeypatc
     assert not path.exists()
     with pytest.raises(InputError, match="result of other tasks"):
         predict_to_file(physics_model, path, *inputs, batch=4, fields=False, progress=False)
+    assert len([*path.with_name("many.h5.unfinished").glob("*.h5")]) == 1
     predict_to_file(physics_model, path, *inputs, batch=4, progress=False)
     assert calls == [0, 3, 6, 6]
     expected = physics_model.predict(*inputs).flow
     np.testing.assert_allclose(load_cases(path).flow, expected, rtol=1e-12)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_a_run_without_results_can_be_replaced(physics_model, inputs, path, monkeypatch):
+    def fails(_):
+        raise InputError("no")
+
+    with monkeypatch.context() as patched, pytest.raises(TaskError, match="no"):
+        patched.setattr(module, "_predict", fails)
+        predict_to_file(physics_model, path, *inputs, progress=False)
+    predict_to_file(physics_model, path, *inputs, fields=False, progress=False)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="no posix_fallocate")
+def test_the_space_of_the_file_is_reserved(physics_model, inputs, path, monkeypatch):
+    """Without space, writing to the memory map would end the process."""
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(FileError, match="the disk is full"):
+        predict_to_file(physics_model, path, *inputs, progress=False)
 
 
 def test_a_file_for_another_outlet_is_not_continued(physics_model, inputs, path, monkeypatch):
@@ -126,5 +153,19 @@ def test_unusable_arguments(physics_model, inputs, path):
         predict_to_file(physics_model, path.with_suffix(".csv"), *inputs)
     with pytest.raises(InputError, match="inflow has 10 cases and area_undeformed 3"):
         predict_to_file(physics_model, path, inputs[0], inputs[1][:3])
+    with pytest.raises(InputError, match=r"inflow must have the shape .* got \(1, 10, "):
+        predict_to_file(physics_model, path, inputs[0][None], inputs[1])
+    with pytest.raises(InputError, match=r"inflow must have the shape .* got \(0, "):
+        predict_to_file(physics_model, path, inputs[0][:0], inputs[1][:0])
+    with pytest.raises(InputError, match=r"area_undeformed\[0, 0\] is .* positive"):
+        predict_to_file(physics_model, path, inputs[0], -inputs[1])
+    with pytest.raises(InputError, match="no option 'samples' here"):
+        predict_to_file(physics_model, path, *inputs, samples=8)
+    with pytest.raises(InputError, match="model must be a fitted model, got str"):
+        predict_to_file("model.npz", path, *inputs)
+    path.mkdir()
+    with pytest.raises(FileError, match="it is a folder"):
+        predict_to_file(physics_model, path, *inputs)
+    path.rmdir()
     with warnings.catch_warnings(), pytest.raises(InputError, match="inflow"):
         predict_to_file(physics_model, path, inputs[0] * np.nan, inputs[1])
