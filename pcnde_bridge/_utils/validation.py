@@ -302,9 +302,8 @@ def all_of(kind: type[_T], name: str, values: object) -> tuple[_T, ...]:
         If one is of another kind, or they are not a sequence.
     """
     if not isinstance(values, Iterable):
-        raise InputError(
-            f"{name} must be a sequence of {kind.__name__}, got {type(values).__name__}."
-        )
+        wanted = "sequence" if kind is object else f"sequence of {kind.__name__}"
+        raise InputError(f"{name} must be a {wanted}, got {type(values).__name__}.")
     found = tuple(values)
     for i, value in enumerate(found):
         if not isinstance(value, kind):

@@ -18,6 +18,7 @@ from pcnde_bridge.evaluation.design import choose
 from pcnde_bridge.hemodynamics.outlet import Outlet
 from pcnde_bridge.model.fit_task import FitTask, common_facts, same_everywhere, score_fits
 from pcnde_bridge.model.inputs import check_cases
+from pcnde_bridge.model.kinds import kind_of
 
 
 def learning_curve(
@@ -62,7 +63,8 @@ def learning_curve(
     Raises
     ------
     InputError
-        If a size is larger than the number of training cases, or an argument is not usable.
+        If a size is larger than the number of training cases, an argument is not usable, or a
+        model with these settings cannot predict on the grid of ``test``.
     """
     check_cases("train", train)
     check_cases("test", test)
@@ -71,6 +73,7 @@ def learning_curve(
         raise InputError(f"sizes must be numbers up to {len(train)}, got {sizes}.")
     subsets = _subsets(train, sizes, whole("draws", draws), whole("seed", seed))
     settings, engine = resolve_config(config), same_everywhere(engine)
+    kind_of(settings).check_grid(train.grid, test.grid, "train")
     tasks = {
         f"{size} {name}": FitTask(train.select(subset), settings, engine, seed, test, outlet)
         for (size, name), subset in subsets.items()
@@ -78,6 +81,7 @@ def learning_curve(
     index = pd.MultiIndex.from_tuples(subsets, names=["size", "subset"])
     facts = {
         **common_facts("learning curve", train, settings, engine, outlet),
+        "test": test.fingerprint(),
         "seed": seed,
         "subsets": [subset.tolist() for subset in subsets.values()],
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from helpers import ToyEngine
 
-from pcnde_bridge import PCNDE, InputError
+from pcnde_bridge import PCNDE, Cases, InputError
 from pcnde_bridge.engines.types import ModelInputs
 from pcnde_bridge.evaluation import learning_curve
 from pcnde_bridge.evaluation.design import choose
@@ -28,6 +28,8 @@ def test_designed_and_random_subsets(small_cases, toy_config, tmp_path):
     assert found["pressure_drop"] == expected["pressure_drop"]
     again = learning_curve(*run, draws=2, folder=tmp_path, progress=False)
     assert again.equals(table)
+    with pytest.raises(InputError, match="result of other tasks"):
+        learning_curve(train, test[:2], *run[2:], draws=2, folder=tmp_path, progress=False)
     with pytest.raises(InputError, match="numbers up to 8"):
         learning_curve(train, test, (9,), config, engine)
 
@@ -37,7 +39,7 @@ def test_designed_and_random_subsets(small_cases, toy_config, tmp_path):
     [
         ({"train": "cases.npz"}, "train must be Cases, got str"),
         ({"test": None}, "test must be Cases, got NoneType"),
-        ({"sizes": 4}, "sizes must be a sequence"),
+        ({"sizes": 4}, "sizes must be a sequence, got int"),
         ({"sizes": "4"}, r"sizes\[0\] must be a whole number ≥ 1, got '4'"),
         ({"sizes": [4, 0.5]}, r"sizes\[1\] must be a whole number ≥ 1, got 0.5"),
         ({"sizes": []}, r"numbers up to 12, got \[\]"),
@@ -46,3 +48,12 @@ def test_designed_and_random_subsets(small_cases, toy_config, tmp_path):
 def test_unusable_arguments_are_refused(small_cases, change, message):
     with pytest.raises(InputError, match=message):
         learning_curve(**{"train": small_cases, "test": small_cases, "sizes": [4]} | change)
+
+
+def test_test_cases_on_another_grid_are_refused(small_cases, toy_config):
+    names = "flow", "area", "pressure"
+    halved = {name: getattr(small_cases, name)[:, ::2] for name in names}
+    rest = {name: getattr(small_cases, name) for name in ("area_undeformed", "z", "period")}
+    test = Cases(**halved, **rest, time=small_cases.time[::2], check=False)
+    with pytest.raises(InputError, match="bring the cases to the model's grid"):
+        learning_curve(small_cases, test, [4], toy_config, ToyEngine())
