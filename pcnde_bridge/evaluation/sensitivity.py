@@ -1,7 +1,9 @@
 """Sensitivity of indices such as FFR to the inputs of a model: Sobol indices by SALib."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -66,7 +68,8 @@ def sobol_indices(
     MissingExtraError
         If SALib is not installed.
     InputError
-        If the model, a range or an index is not usable.
+        If the model, a range or an index is not usable, or the model cannot predict the length of
+        the vessel or the period of the waveform.
     """
     if not callable(getattr(model, "predict", None)):
         raise InputError(f"model must be a fitted model, got {type(model).__name__}.")
@@ -114,16 +117,32 @@ def _evaluate(
     given = (stenosis.blockage, stenosis.position, stenosis.length, 1.0, waveform.mean)
     values = np.tile(given, (len(points), 1))
     values[:, [INPUTS.index(name) for name in names]] = points
-    oscillation, z = waveform.samples(model.grid.time.size) - waveform.mean, model.grid.z
+    oscillation = waveform.samples(model.grid.time.size) - waveform.mean
+    z, options = _points(model, vessel, waveform)
     found = []
     for start in range(0, len(points), _BATCH):
         rows = values[start : start + _BATCH]
         inflow = rows[:, 4:] + rows[:, 3:4] * oscillation
         vessels = (replace(vessel, stenoses=(Stenosis(*row),)) for row in rows[:, :3].tolist())
         areas = np.array([each.area_undeformed(z) for each in vessels])
-        table = model.predict(inflow, areas).indices()
+        table = model.predict(inflow, areas, **options).indices()
         known = [*table.select_dtypes("number")]
         if unknown := [index for index in indices if index not in known]:
             raise InputError(f"There is no index {unknown[0]!r}; there are {known}.")
         found.append(table[list(indices)].to_numpy(dtype=float))
     return np.concatenate(found)
+
+
+def _points(model: Predictor, vessel: Vessel, waveform: Waveform) -> tuple[Array, dict[str, Any]]:
+    """Return the points of the vessel, and options of predict if they or the period are others."""
+    z, period = model.grid.z - model.grid.z[0], model.grid.period
+    same = math.isclose(vessel.length, z[-1], rel_tol=1e-6)
+    if same and math.isclose(waveform.period, period, rel_tol=1e-6):
+        return z, {}
+    if not model.any_grid:
+        raise InputError(
+            f"vessel has {vessel.length:g} cm and waveform {waveform.period:g} s, but the model "
+            f"predicts {z[-1]:g} cm and {period:g} s only: give a vessel and a waveform of these."
+        )
+    z = np.linspace(0.0, vessel.length, z.size)
+    return z, {"z": z, "period": waveform.period, "units": "cgs"}

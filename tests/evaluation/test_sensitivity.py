@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 from pcnde_bridge import InputError, MissingExtraError
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.evaluation import sensitivity, sobol_indices
-from pcnde_bridge.hemodynamics.geometry import Vessel
+from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
+from pcnde_bridge.hemodynamics.waveform import coronary
 
 pytest.importorskip("SALib")
 
@@ -46,6 +48,25 @@ def test_a_model_of_the_preset_physics(physics_model):
     found = sobol_indices(physics_model, ranges, ("ffr", "mean_drop_mmHg"), samples=16)
     assert found.index.names == ["index", "input"]
     assert found.loc[("mean_drop_mmHg", "blockage"), "total"] > 0.5
+
+
+def test_length_and_period_are_those_of_the_vessel_and_the_waveform(physics_model, monkeypatch):
+    given = {}
+
+    def predict(_, inflow, area_undeformed, **options):
+        given.update(options)
+        index = np.asarray(area_undeformed).min(axis=1)
+        return SimpleNamespace(indices=lambda: pd.DataFrame({"ffr": index}))
+
+    monkeypatch.setattr(type(physics_model), "predict", predict)
+    vessel, waveform = Vessel((Stenosis(0.6),), length=5.0), replace(coronary(), period=0.8)
+    options = {"samples": 2, "vessel": vessel, "waveform": waveform}
+    sobol_indices(physics_model, {"blockage": (0.5, 0.6)}, ["ffr"], **options)
+    assert given["period"] == 0.8
+    assert given["z"][-1] == 5.0
+    monkeypatch.setattr(type(physics_model), "any_grid", False)
+    with pytest.raises(InputError, match=r"vessel has 5 cm and waveform 0.8 s, but the model"):
+        sobol_indices(physics_model, {"blockage": (0.5, 0.6)}, ["ffr"], **options)
 
 
 @pytest.mark.parametrize(
