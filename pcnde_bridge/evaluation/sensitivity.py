@@ -96,7 +96,8 @@ def sobol_indices(
     found = _evaluate(model, [*ranges], points, indices, vessel, waveform)
     tables = {}
     for number, index in enumerate(indices):
-        result = analysis.analyze(problem, found[:, number], **options)
+        # SALib takes a seed of 0 for none.
+        result = analysis.analyze(problem, found[:, number], **options | {"seed": seed + 1})
         columns = {"first": "S1", "total": "ST", "first_interval": "S1_conf"}
         columns["total_interval"] = "ST_conf"
         values = {column: result[key] for column, key in columns.items()}

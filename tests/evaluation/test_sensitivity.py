@@ -43,6 +43,11 @@ def test_indices_of_a_sum(monkeypatch):
     assert (found["total_interval"] < 0.15).all()
 
 
+def test_a_repetition_has_the_same_intervals():
+    first, second = (sobol_indices(Formula(), RANGES, ("ffr",), samples=16) for _ in range(2))
+    assert first.equals(second)
+
+
 def test_a_model_of_the_preset_physics(physics_model):
     ranges = {"blockage": (0.45, 0.6), "amplitude": (0.8, 1.0)}
     found = sobol_indices(physics_model, ranges, ("ffr", "mean_drop_mmHg"), samples=16)
