@@ -7,12 +7,12 @@ it in between: more points of the data do not add detail that fewer points do no
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from pcnde_bridge._typing import Array
+from pcnde_bridge._typing import Array, IntArray
 
 POINTS_PER_RADIUS = 10
 """Points per radius of the training cases' vessels."""
@@ -32,13 +32,26 @@ class InternalPoints(NamedTuple):
         Internal points, cm.
     inward : array of shape (z, internal)
         Cubic interpolation from the given points: ``values @ inward``.
-    outward : array of shape (internal, z)
-        Linear interpolation to the given points.
+    before : array of int, shape (z,)
+        Internal point before each given point.
+    share : array of shape (z,)
+        Distance of each given point from it, in intervals between internal points.
     """
 
     z: Array
     inward: Array
-    outward: Array
+    before: IntArray
+    share: Array
+
+    @property
+    def outward(self) -> Array:
+        """:meth:`at_given` as a matrix (internal, z)."""
+        return np.asarray(self.at_given(np.eye(self.z.size)))
+
+    def at_given(self, values: Any) -> Any:
+        """Interpolate NumPy or JAX arrays (..., internal) linearly to the given points."""
+        before, after = values[..., self.before], values[..., self.before + 1]
+        return before + self.share * (after - before)
 
     def area(self, area_undeformed: Array) -> Array:
         """Interpolate S_u, cm², (case, z); it stays positive."""
@@ -59,13 +72,18 @@ def internal_points(z: Array, spacing: float | None) -> InternalPoints:
 
 @lru_cache(maxsize=8)
 def _internal_points(given: bytes, spacing: float | None) -> InternalPoints:
-    from scipy.interpolate import CubicSpline, make_interp_spline
+    from scipy.interpolate import CubicSpline
 
     z = np.frombuffer(given)
     if spacing is None:
-        return InternalPoints(z, np.eye(z.size), np.eye(z.size))
+        before = np.minimum(np.arange(z.size), z.size - 2)
+        return InternalPoints(
+            z, np.eye(z.size), before, np.asarray(np.arange(z.size) - before, float)
+        )
     intervals = max(round((z[-1] - z[0]) / (_POINTS_PER_KNOT * spacing)), _FEWEST_KNOTS - 1)
     knots = np.linspace(z[0], z[-1], intervals + 1)
     points = np.linspace(z[0], z[-1], _POINTS_PER_KNOT * intervals + 1)
     inward = CubicSpline(knots, CubicSpline(z, np.eye(z.size))(knots))(points).T
-    return InternalPoints(points, inward, make_interp_spline(points, np.eye(points.size), k=1)(z).T)
+    place = (z - z[0]) / (points[1] - points[0])
+    before = np.minimum(place.astype(int), points.size - 2)
+    return InternalPoints(points, inward, before, np.asarray(place - before, float))

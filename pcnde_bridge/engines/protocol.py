@@ -249,13 +249,15 @@ class Closures(ABC):
         config: ClosureConfig,
     ) -> Problem:
         """Prepare a closure at the internal points; its value and Jacobian are at those of z."""
-        z, inward, outward = points = internal_points(grid.z, config.losses.spacing)
-        data = *others, *(field @ inward for field in fields), points.area(area_undeformed)
-        problem = self._problem(name, data, replace(grid, z=z), config)
+        points = internal_points(grid.z, config.losses.spacing)
+        inside = (field @ points.inward for field in fields)
+        data = *others, *inside, points.area(area_undeformed)
+        problem = self._problem(name, data, replace(grid, z=points.z), config)
 
         def evaluate(parameters: Array) -> tuple[Array, Array]:
             value, jacobian = problem(parameters)
-            return value @ outward, np.swapaxes(np.swapaxes(jacobian, -1, -2) @ outward, -1, -2)
+            slopes = points.at_given(np.swapaxes(jacobian, -1, -2))
+            return points.at_given(value), np.swapaxes(slopes, -1, -2)
 
         return evaluate
 

@@ -13,8 +13,7 @@ import pytest
 from pcnde_bridge import InputError, MissingExtraError
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.evaluation import sensitivity, sobol_indices
-from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
-from pcnde_bridge.hemodynamics.waveform import coronary
+from pcnde_bridge.hemodynamics import Reflection, Stenosis, Vessel, coronary
 
 pytest.importorskip("SALib")
 
@@ -26,15 +25,16 @@ class Formula:
 
     grid = Grid(np.arange(40) / 40, np.linspace(0, 4, 401), 1.0)
 
-    def predict(self, inflow, area_undeformed):
+    def predict_batches(self, inflow, area_undeformed):
         blockage = 1 - area_undeformed.min(axis=1) / area_undeformed[:, 0]
         index = 5 * blockage + inflow.mean(axis=1)
-        return SimpleNamespace(indices=lambda: pd.DataFrame({"ffr": index, "flow": index**2}))
+        for part in np.split(index, range(100, len(index), 100)):
+            table = pd.DataFrame({"ffr": part, "flow": part**2})
+            yield SimpleNamespace(indices=lambda table=table: table)
 
 
-def test_indices_of_a_sum(monkeypatch):
+def test_indices_of_a_sum():
     """The shares of the variance are known: 5²·0.4² and 1."""
-    monkeypatch.setattr(sensitivity, "_BATCH", 100)
     found = sobol_indices(Formula(), RANGES, ("ffr",), samples=1024).loc["ffr"]
     shares = np.array([4.0, 1.0, 0.0]) / 5
     assert found.index.tolist() == [*RANGES]
@@ -58,12 +58,12 @@ def test_a_model_of_the_preset_physics(physics_model):
 def test_length_and_period_are_those_of_the_vessel_and_the_waveform(physics_model, monkeypatch):
     given = {}
 
-    def predict(_, inflow, area_undeformed, **options):
+    def predict_batches(_, inflow, area_undeformed, **options):
         given.update(options)
         index = np.asarray(area_undeformed).min(axis=1)
-        return SimpleNamespace(indices=lambda: pd.DataFrame({"ffr": index}))
+        yield SimpleNamespace(indices=lambda: pd.DataFrame({"ffr": index}))
 
-    monkeypatch.setattr(type(physics_model), "predict", predict)
+    monkeypatch.setattr(type(physics_model), "predict_batches", predict_batches)
     vessel, waveform = Vessel((Stenosis(0.6),), length=5.0), replace(coronary(), period=0.8)
     options = {"samples": 2, "vessel": vessel, "waveform": waveform}
     sobol_indices(physics_model, {"blockage": (0.5, 0.6)}, ["ffr"], **options)
@@ -72,6 +72,38 @@ def test_length_and_period_are_those_of_the_vessel_and_the_waveform(physics_mode
     monkeypatch.setattr(type(physics_model), "any_grid", False)
     with pytest.raises(InputError, match=r"vessel has 5 cm and waveform 0.8 s, but the model"):
         sobol_indices(physics_model, {"blockage": (0.5, 0.6)}, ["ffr"], **options)
+
+
+def test_outlet_and_wall(physics_model):
+    """Pressures grow with the resistance; the stiffness has little effect on their means."""
+    ranges = {"outlet_resistance": (0.8, 1.2), "wall_stiffness": (0.5, 2.0)}
+    pressures = ("mean_pressure_mmHg", "systolic_mmHg")
+    found = sobol_indices(physics_model, ranges, pressures, samples=32)
+    means = found.loc["mean_pressure_mmHg", "total"]
+    assert means["outlet_resistance"] > 0.9 > 0.1 > means["wall_stiffness"]
+    assert found.loc[("systolic_mmHg", "wall_stiffness"), "total"] > means["wall_stiffness"]
+
+
+def test_factors_of_one_change_nothing(physics_model):
+    names = ["blockage", "outlet_resistance", "wall_stiffness"]
+    points = np.array([[0.5, 1.0, 1.0], [0.6, 1.0, 1.0 + 1e-12]])
+    rest = ["ffr"], Vessel((Stenosis(0.5),)), coronary()
+    expected = sensitivity._evaluate(physics_model, names[:1], points[:, :1], *rest)
+    found = sensitivity._evaluate(physics_model, names, points, *rest)
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["outlet_resistance", "wall_stiffness"])
+def test_factors_need_the_preset_physics_and_are_positive(name, physics_model):
+    for model, limits in ((Formula(), (0.5, 2.0)), (physics_model, (0.0, 2.0))):
+        with pytest.raises(InputError, match=f"{name}: .* positive factors"):
+            sobol_indices(model, {name: limits})
+
+
+def test_an_outlet_without_resistance_is_refused(physics_model):
+    model = replace(physics_model, outlet=Reflection())
+    with pytest.raises(InputError, match="has no resistance common to all cases"):
+        sobol_indices(model, {"outlet_resistance": (0.5, 2.0)}, samples=2)
 
 
 @pytest.mark.parametrize(

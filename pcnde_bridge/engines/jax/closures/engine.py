@@ -25,7 +25,7 @@ from pcnde_bridge.engines.jax.closures.pressure_losses import DIRECTED
 from pcnde_bridge.engines.jax.closures.wall import displacement
 from pcnde_bridge.engines.jax.closures.wall_shear_stress import Terms
 from pcnde_bridge.engines.protocol import Closures
-from pcnde_bridge.engines.types import ModelInputs, Problem, Solution
+from pcnde_bridge.engines.types import ModelInputs, Problem, Result, Solution
 from pcnde_bridge.errors import SolveError
 from pcnde_bridge.hemodynamics.outlet import windkessel_response
 
@@ -111,14 +111,9 @@ class JaxClosures(Closures):
             _write_fields(coupled, batch, *(field[rows] for field in result if field is not None))
             return np.asarray(coupled.change)
 
-        starts = range(0, count, _BATCH)
-        if len(starts) == 1:
-            changes = [compute(0)]
-        else:
-            # One thread more than processors, because one usually waits for JAX.
-            with ThreadPoolExecutor(max_workers=(os.cpu_count() or 1) + 1) as pool:
-                changes = list(pool.map(compute, starts))
-        settled = np.concatenate(changes) <= _CONVERGED * np.abs(inflow).max(axis=1)
+        settled = np.concatenate(_in_batches(compute, count)) <= _CONVERGED * np.abs(inflow).max(
+            axis=1
+        )
         if not settled.all():
             raise SolveError(
                 f"Flow, area and pressure of case {np.argmin(settled)} do not settle in "
@@ -128,6 +123,16 @@ class JaxClosures(Closures):
                 np.flatnonzero(~settled),
             )
         return result
+
+
+def _in_batches(compute: Callable[[int], Result], count: int) -> list[Result]:
+    """Return the results of several threads for the first case, or vessel, of each batch."""
+    starts = range(0, count, _BATCH)
+    if len(starts) == 1:
+        return [compute(0)]
+    # One thread more than processors, because one usually waits for JAX.
+    with ThreadPoolExecutor(max_workers=(os.cpu_count() or 1) + 1) as pool:
+        return list(pool.map(compute, starts))
 
 
 def _outlets(
@@ -168,16 +173,17 @@ def _distinct_vessels(
 
     def at_given(values: Any) -> Array:
         values = np.asarray(values)
-        return values @ points.outward if values.ndim > 1 else values
+        return points.at_given(values) if values.ndim > 1 else values
 
-    parts = []
-    with double_precision():
-        for start in range(0, len(areas), _BATCH):
-            batch = areas[start : start + _BATCH]
+    def integrate(start: int) -> tuple[VesselModes, Terms]:
+        batch = areas[start : start + _BATCH]
+        with double_precision():
             s_u = _padded(batch, _rounded(len(batch)))
             modes = _vessels(*vectors, s_u, points.z, config=config)
-            parts.append(jax.tree.map(at_given, modes))
-    return jax.tree.map(lambda *a: np.concatenate(a), *parts)
+            found: tuple[VesselModes, Terms] = jax.tree.map(at_given, modes)
+        return found
+
+    return jax.tree.map(lambda *a: np.concatenate(a), *_in_batches(integrate, len(areas)))
 
 
 def _couple_batch(
@@ -317,10 +323,10 @@ def solve_one(
         outlet = windkessel_response(outlet, inflow.size, grid.period, jnp)
     loss, shear = parameters["losses"], parameters["wall_shear_stress"]
     law, physics = config.wall.law, config.physics
-    z, inward, outward = map(jnp.asarray, internal_points(grid.z, config.losses.spacing))
-    area = jnp.exp(jnp.log(area_undeformed) @ inward)
-    vessel, _ = vessel_modes(wall, loss, shear, area, z, law, physics)
-    vessel = jax.tree.map(lambda values: values @ outward if values.ndim else values, vessel)
+    points = internal_points(grid.z, config.losses.spacing)
+    area = jnp.exp(jnp.log(area_undeformed) @ points.inward)
+    vessel, _ = vessel_modes(wall, loss, shear, area, jnp.asarray(points.z), law, physics)
+    vessel = jax.tree.map(lambda values: points.at_given(values) if values.ndim else values, vessel)
     at_outlet = vessel.flow[:, -1], vessel.flow_slope[:, -1], vessel.reference_flow
     case = jnp.zeros(()), inflow, *at_outlet, jnp.asarray(grid.period)
     found = couple(outlet, wall, correction, *case, config.correction)
