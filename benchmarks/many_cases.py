@@ -1,7 +1,7 @@
 """Time, memory and errors of a fit to many cases; time and memory of many predictions.
 
 Run ``python benchmarks/many_cases.py FOLDER [--preset physics] [--cases 100 1000 10000]
-[--workers 0 1 2] [--predict]``.  The cases are random samples of the predictions of a
+[--workers 0 1 2] [--predict | --sensitivity]``.  The cases are random samples of predictions of a
 ``physics`` model that is fitted to the published cases: they have the errors that the model has
 on cases left out.  There are a tenth as many stenoses (blockage 40 to 85 %, position 1.8 to
 2.2 cm, length 0.6 to 1.2 cm), each under ten waveforms.  FOLDER stores them.  Each fit is a
@@ -9,7 +9,8 @@ process of its own; it reports CPU seconds per case, the peak of the resident me
 pages of the file that it has read, and the errors on 500 further cases.
 With ``--workers`` the cases are on a local dask cluster, and the CPU seconds of this process
 and of each worker are reported.  With ``--predict``, the indices of so many other cases are
-predicted, and written to a file, in place of the fit.
+predicted, and written to a file, in place of the fit; with ``--sensitivity``, Sobol indices of
+five inputs are computed with about so many predictions.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from pcnde_bridge import PCNDE, load_cases, load_model
+from pcnde_bridge.evaluation import sobol_indices
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.waveform import DATA_FACTORS, coronary
 from pcnde_bridge.model.prediction import Prediction
@@ -115,6 +117,17 @@ def predict(folder: Path, count: int, workers: int) -> dict[str, float]:
     return row
 
 
+def sensitivity(folder: Path, count: int, workers: int) -> dict[str, float]:
+    """Compute Sobol indices of FFR, and return time, memory and the first-order indices."""
+    model = load_model(folder / "model.npz", "jax")
+    ranges = {"blockage": (0.4, 0.85), "position": (1.8, 2.2), "length": (0.6, 1.2)}
+    ranges |= {"amplitude": (min(DATA_FACTORS), max(DATA_FACTORS)), "mean_flow": (1.2, 1.4)}
+    samples = 2 ** round(np.log2(count / (len(ranges) + 2)))
+    with measured(samples * (len(ranges) + 2), workers) as (_, row):
+        found = sobol_indices(model, ranges, ["ffr"], samples=samples)
+    return row | found.loc["ffr", "first"].to_dict()
+
+
 @contextmanager
 def clients(workers: int) -> Iterator[Any]:
     """Start a cluster with so many processes, or none."""
@@ -138,17 +151,24 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[0])
     parser.add_argument("--here", action="store_true", help="run in this process, print JSON")
     parser.add_argument("--predict", action="store_true", help="predict in place of fitting")
+    parser.add_argument("--sensitivity", action="store_true", help="Sobol indices, not a fit")
     options = parser.parse_args()
     folder, preset = options.folder, options.preset
     if options.here:
         size = options.cases[0], options.workers[0]
-        row = predict(folder, *size) if options.predict else fit(folder, preset, *size)
+        if options.predict:
+            row = predict(folder, *size)
+        elif options.sensitivity:
+            row = sensitivity(folder, *size)
+        else:
+            row = fit(folder, preset, *size)
         print(json.dumps(row))
         return
     create(folder)
     for count, workers in product(options.cases, options.workers):
         command = [sys.executable, __file__, folder, "--preset", preset, "--here"]
         command += ["--cases", count, "--workers", workers, *["--predict"] * options.predict]
+        command += ["--sensitivity"] * options.sensitivity
         done = subprocess.run(map(str, command), check=True, stdout=subprocess.PIPE, text=True)
         row = {"workers": workers} | json.loads(done.stdout)
         print("  ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
