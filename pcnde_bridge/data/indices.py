@@ -36,7 +36,7 @@ def reynolds_number(flow: Any, area: Any, density: float = 1.06, viscosity: floa
     density, viscosity : float
         ρ (g/cm³) and μ (poise).
     """
-    return density * abs(flow) * diameter(area) / (area * viscosity)
+    return 2 * density / viscosity * abs(flow) / (math.pi * area) ** 0.5  # D/S = 2/√(π·S)
 
 
 def poiseuille_wall_shear_stress(flow: Array, area: Array, viscosity: float = 0.04) -> Array:
@@ -408,7 +408,9 @@ class VesselQuantities(Displayed):
 
     def _positions(self, proximal: Position, distal: Position) -> tuple[Array, Array]:
         """Return the positions of every case, (case,): those given, else the default."""
-        upstream, downstream = measuring_positions(self.z, self.area_undeformed)
+        upstream = downstream = np.empty(0)
+        if proximal is None or distal is None:
+            upstream, downstream = measuring_positions(self.z, self.area_undeformed)
         if proximal is not None:
             upstream = _checked_position("proximal", proximal, len(self.flow), self.z)
         if distal is not None:
