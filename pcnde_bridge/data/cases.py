@@ -258,6 +258,8 @@ class Cases(VesselQuantities):
         arrays = {**self.variables(), "area_undeformed": self.area_undeformed}
         state = {name: getattr(self, name) for name in ("time", "z", "period", "wall_shear_stress")}
         state |= {name: values[rows] for name, values in arrays.items()}
+        if rows is positions:
+            release(*arrays.values())
         state["_labels"] = self._labels.iloc[positions].reset_index(drop=True)
         taken.__setstate__(state)
         return taken

@@ -103,6 +103,8 @@ def sobol_indices(
     problem = {"num_vars": len(ranges), "names": [*ranges], "bounds": [*ranges.values()]}
     options = {"calc_second_order": False, "seed": whole("seed", seed)}
     samples = whole("samples", samples, 2)
+    if samples & (samples - 1):
+        raise InputError(f"samples must be a power of 2, such as 1024, got {samples}.")
     size = len(ranges) + len(indices) + model.grid.time.size + model.grid.z.size
     numbers = 2 * samples * (len(ranges) + 2) * size
     check_memory(f"An analysis of {samples} samples", numbers, "request fewer samples")

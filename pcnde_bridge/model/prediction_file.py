@@ -146,7 +146,7 @@ def predict_to_file(
     outside = sum(result["outside"] for result in results)
     for number, what in (
         (failed.size, f"could not be predicted, and are NaN: {listed(failed.tolist())}"),
-        (outside, "lie outside the training data; see indices/novelty"),
+        (outside, "outside the training data; see indices/novelty"),
     ):
         if number:
             warnings.warn(f"{number} of {counted(count, 'case')} {what}.", PCNDEWarning, 2)

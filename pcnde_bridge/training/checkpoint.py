@@ -103,8 +103,9 @@ class Checkpoint(Generic[State]):
             its_seed, engine = facts["seed"], provenance_from(facts["provenance"])["engine"]
             outlet = facts.get("outlet")
         for differs, difference in (
-            (cases != run.cases.fingerprint(), "on other cases. Give the same cases"),
+            # First, because the cases in use depend on it.
             (config != run.config, "with another configuration. Give the same one"),
+            (cases != run.cases.fingerprint(), "on other cases. Give the same cases"),
             (outlet != _outlet(run), "with another outlet. Give the same one"),
             (its_seed != seed, f"with seed {its_seed}, not {seed}. Give that seed"),
         ):

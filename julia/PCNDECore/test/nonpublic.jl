@@ -18,6 +18,11 @@ const DOCUMENTED = (
 )
 
 """
+Names of PCNDECore that its extension uses.
+"""
+const OF_THE_EXTENSION = (:ReferenceFlow, :adjoint_gradient, :reference_loss)
+
+"""
 Names of OrdinaryDiffEqCore that it declares public where Julia has the keyword `public`, from 1.11
 on. The tested versions are in `self_check.jl`. No other internal name is used.
 """
