@@ -2,6 +2,15 @@
 # order is the same memory as Python's (case, time, z).
 
 """
+    call(name, arguments...)
+
+Call a function of this module by its name. PythonCall compiles each function that it calls: this
+is the only one.
+"""
+call(name::String, @nospecialize(arguments...)) =
+    getfield(@__MODULE__, Symbol(name))(arguments...)
+
+"""
     config(toml)
 
 Read settings from a TOML text with one table per group. Unknown names are ignored, and missing
@@ -39,6 +48,21 @@ not be used after Python releases the array.
 """
 wrap_python_array(address::Int, shape::Int...) =
     unsafe_wrap(Array, Ptr{Float64}(address), shape)
+
+"""
+    wrap_python_arrays(numbers, dimensions)
+
+Wrap several arrays of Python. `numbers` are the address and the shape of each, one after the
+other, and `dimensions` are the numbers of axes.
+"""
+function wrap_python_arrays(numbers, dimensions)
+    position = 0
+    return map(dimensions) do n_axes
+        address, shape... = numbers[(position + 1):(position + 1 + n_axes)]
+        position += 1 + n_axes
+        return wrap_python_array(address, shape...)
+    end
+end
 
 """
     copy_python_array(address, shape...)
@@ -174,19 +198,45 @@ end
   - `config`: a [`ClosureConfig`](@ref).
 """
 function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
-    if name == "losses"
-        return value_and_jacobian(LossesClosure(inputs..., z, config), θ)
-    elseif name == "area"
-        return value_and_jacobian(AreaClosure(inputs..., z, config), θ)
-    elseif name == "wall_shear_stress"
-        return value_and_jacobian(ShearClosure(inputs..., z, config), θ)
-    elseif name == "flow"
+    haskey(CLOSURES, name) || throw(ArgumentError("there is no closure \"$name\""))
+    return value_and_jacobian(CLOSURES[name](inputs, z, period, config), θ)
+end
+
+# A table, so that nothing is inferred for the inputs of another closure, where other packages
+# would invalidate it.
+const CLOSURES = Dict{String, Any}(
+    "losses" => (inputs, z, period, config) -> LossesClosure(inputs..., z, config),
+    "area" => (inputs, z, period, config) -> AreaClosure(inputs..., z, config),
+    "wall_shear_stress" => (inputs, z, period, config) -> ShearClosure(inputs..., z, config),
+    "flow" => function (inputs, z, period, config)
         others..., points = inputs
-        return value_and_jacobian(
-            FlowClosure(others..., Int.(points) .+ 1, z, period, config), θ,
-        )
-    end
-    throw(ArgumentError("there is no closure \"$name\""))
+        return FlowClosure(others..., Int.(points) .+ 1, z, period, config)
+    end,
+)
+
+"""
+Numbers of axes of the inputs of each [`closure`](@ref).
+"""
+const INPUT_AXES = Dict(
+    "losses" => (3, 3, 2),
+    "area" => (3, 2),
+    "wall_shear_stress" => (1, 3, 3, 2),
+    "flow" => (3, 1, 1, 2, 2, 2, 1),
+)
+
+"""
+    closure!(name, config, period, numbers...)
+
+Compute a [`closure`](@ref) with arrays in Python's memory: value and Jacobian, which are written,
+θ, the inputs and z. See [`predict_closures`](@ref) for the `numbers`.
+"""
+function closure!(name::String, config::ClosureConfig, period::Float64, numbers::Int...)
+    arrays = wrap_python_arrays(numbers, (3, 4, 1, INPUT_AXES[name]..., 1))
+    value, jacobian, θ, inputs..., z = arrays
+    found = closure(name, θ, inputs, z, period, config)
+    copyto!(value, first(found))
+    copyto!(jacobian, last(found))
+    return nothing
 end
 
 """
@@ -197,27 +247,18 @@ arguments. `numbers` are the address and the shape of each array; all are passed
 because passing arrays one by one takes a noticeable share of a prediction's time.
 """
 function predict_closures(config::ClosureConfig, period::Float64, numbers::Int...)
-    position = 0
-    function next(dimensions)
-        address, shape... = numbers[(position + 1):(position + 1 + dimensions)]
-        position += 1 + dimensions
-        return wrap_python_array(address, shape...)
-    end
-    fields = next(3), next(3), next(3), next(3)
-    parameters = next(3), next(1), next(1), next(1), next(1)
-    inputs = next(1), next(2), next(2), next(1), next(2)
-    return predict_closures!(fields..., parameters, inputs..., period, config)
+    axes_of_parameters, axes_of_inputs = (3, 1, 1, 1, 1), (1, 2, 2, 1, 2)
+    arrays = wrap_python_arrays(numbers, (3, 3, 3, 3, axes_of_parameters..., axes_of_inputs...))
+    return predict_closures!(arrays[1:4]..., arrays[5:9], arrays[10:14]..., period, config)
 end
 
 """
     versions()
 
-Versions of Julia, PCNDECore and the numerical packages.
+Versions of Julia, PCNDECore and the numerical packages, as TOML.
 """
 function versions()
-    modules = (OrdinaryDiffEqTsit5 = parentmodule(Tsit5), Lux = Lux, Optim = Optim)
-    versions = Dict(string(name) => string(pkgversion(m)) for (name, m) in pairs(modules))
-    versions["julia"] = string(VERSION)
-    versions["PCNDECore"] = string(pkgversion(@__MODULE__))
-    return versions
+    modules = (; OrdinaryDiffEqTsit5 = parentmodule(Tsit5), Lux, Optim, PCNDECore)
+    found = ["$name = \"$(pkgversion(m))\"" for (name, m) in pairs(modules)]
+    return join(push!(found, "julia = \"$VERSION\""), "\n")
 end

@@ -33,6 +33,7 @@
         fill(0.1, N_SHEAR),
     )
     pressure, points = 1e5 .* flow, [1.0, 6.0]
+    numbers_of(arrays) = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
     @compile_workload begin
         for a in (z, inflow, area)
             GC.@preserve a copy_python_array(Int(pointer(a)), size(a)...)
@@ -64,21 +65,24 @@
         losses("flow", reshape(θ, :, 1), (inflow, area), flow, z, 1.0, with_terms)
         store_objective("flow", (inflow, area), flow, ones(size(flow, 3)), z, 1.0, Config())
         chosen = closure_config("wall.law = \"membrane\"\ncorrection.hidden = []")
-        closure("losses", closures[2], (flow, zero(flow), area_undeformed), z, 1.0, chosen)
-        closure("area", closures[3], (pressure, area_undeformed), z, 1.0, chosen)
-        sheared = (closures[2], flow, zero(flow), area_undeformed)
-        closure("wall_shear_stress", closures[5], sheared, z, 1.0, chosen)
         outward = Matrix(1.0I, n_points, n_points)
-        coupled = (closures[1:3]..., inflow, area_undeformed, outward, points)
-        closure("flow", closures[4], coupled, z, 1.0, chosen)
+        at_points = similar(flow, length(points), size(inflow)...)
+        coupled = closures[1:3]..., inflow, area_undeformed, outward, points
+        for (name, value, θ, given...) in (
+            ("losses", flow, closures[2], flow, flow, area_undeformed),
+            ("area", flow, closures[3], pressure, area_undeformed),
+            ("wall_shear_stress", flow, closures[5], closures[2], flow, flow, area_undeformed),
+            ("flow", at_points, closures[4], coupled...),
+        )
+            found = similar(value), similar(value, length(θ), size(value)...)
+            arrays = (found..., θ, given..., z)
+            GC.@preserve arrays closure!(name, chosen, 1.0, numbers_of(arrays)...)
+        end
         results = ntuple(_ -> similar(flow), 4)
         arrays =
             results..., closures..., zeros(n_cases), inflow, area_undeformed, z, outward
-        GC.@preserve arrays begin
-            numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
-            predict_closures(chosen, 1.0, numbers...)
-        end
-        versions()
+        GC.@preserve arrays predict_closures(chosen, 1.0, numbers_of(arrays)...)
+        call("versions")
         self_check()
         clear!(STATE)
     end

@@ -23,13 +23,14 @@ const CHECKED_STEPS = [1.0, 2.0651138758, 0.9348861242]
 `(problem, parameters)` of a small flow of the given type of problem.
 """
 function self_check_problem(type, stage::FlowStage)
-    t, z = (0:3) ./ 4, collect(range(0.0, 4.0, 5))
+    # Without ranges, which would be compiled at start-up.
+    t, z = [0.0, 0.25, 0.5, 0.75], [0.0, 1.0, 2.0, 3.0, 4.0]
     inflow = [1 + 0.2n * sin(2π * x + n) for x in t, n in 1:2]
     # S is linear in z: at its kinks, the error would depend on the steps.
     area = [(0.1 + 0.01n) * (1 - 0.1x) * inflow[k, n] for x in z, k in 1:4, n in 1:2]
     target = [inflow[k, n] * (1 - 0.05x * cos(2π * t[k])) for x in z, k in 1:4, n in 1:2]
     count = length(Network(chain([8; stage.hidden; 4], stage.activation)))
-    return type(inflow, area, target, z, stage), 0.5 .* sin.(1:count)
+    return type(inflow, area, target, z, stage), [0.5 * sin(k) for k in 1:count]
 end
 
 const TIGHT_STAGE = FlowStage(hidden = [3], rtol = 1e-10, atol = 1e-12, max_steps = 4096)

@@ -17,7 +17,20 @@
         fit("flow", parameters, inputs, data.flow, z, 1.0, config, 2)
     @test losses[1] == loss && length(losses) == 3 && length(fitted) == length(gradient)
     @test_throws ArgumentError fit("heat", parameters, inputs, data.flow, z, 1.0, config, 2)
-    @test PCNDECore.versions()["julia"] == string(VERSION)
+    @test contains(PCNDECore.versions(), "julia = \"$VERSION\"")
+end
+
+@testset "closures in place" begin
+    rate = zero(data.flow)
+    inputs = (data.flow, rate, data.area_undeformed)
+    expected = PCNDECore.closure("losses", losses, inputs, z, 1.0, with_hidden)
+    found = map(similar, expected)
+    arrays = found..., losses, inputs..., z
+    GC.@preserve arrays begin
+        numbers = Iterators.flatten((Int(pointer(a)), size(a)...) for a in arrays)
+        PCNDECore.closure!("losses", with_hidden, 1.0, numbers...)
+    end
+    @test found == expected
 end
 
 @testset "predictions in place" begin

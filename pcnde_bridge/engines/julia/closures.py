@@ -73,11 +73,18 @@ class JuliaClosures(Closures):
         self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
     ) -> Problem:
         """See :class:`pcnde_bridge.engines.protocol.Closures`."""
-        arrays = tuple(a.losses if isinstance(a, ClosureParameters) else a for a in data)
+        given = [a.losses if isinstance(a, ClosureParameters) else a for a in data]
+        inputs = [np.ascontiguousarray(a, np.float64) for a in (*given, grid.z)]
+        if name == "flow":
+            *_, inflow, _, _, points = data
+            shape = *inflow.shape, len(points)
+        else:
+            shape = next(array.shape for array in inputs if array.ndim == 3)
 
-        # No Julia object is stored, which another thread might release.
         def evaluate(parameters: Array) -> tuple[Array, Array]:
-            value, jacobian = self._call("closure", name, parameters, arrays, grid, config)
+            value, jacobian = np.empty(shape), np.empty((*shape, parameters.size))
+            arrays = value, jacobian, np.ascontiguousarray(parameters, np.float64), *inputs
+            self._call("closure!", name, config, float(grid.period), in_place=arrays)
             return value, jacobian
 
         return evaluate

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import threading
+import tomllib
 import types
 import warnings
 from collections.abc import Iterable
@@ -26,6 +27,9 @@ from pcnde_bridge.engines.julia.environment import (
 )
 from pcnde_bridge.errors import EngineError, EngineUnavailableError, PCNDEWarning, SolveError
 
+# In a module of its own, which leaves the user's Main unchanged; juliacall.newmodule takes 1 s.
+_LOAD = 'include_string(Module(:PCNDEBridge), "using PCNDECore; PCNDECore.call")'
+
 
 class Julia:
     """The running Julia: PCNDECore's functions, with arrays and errors converted.
@@ -41,21 +45,15 @@ class Julia:
     def __init__(self) -> None:
         self._juliacall = start()
         self._process, self._thread = os.getpid(), threading.get_ident()
-        # A module of its own leaves the user's Main unchanged.
-        module = self._juliacall.newmodule("PCNDEBridge")
         project = str(self._juliacall.CONFIG["project"])
         try:
-            module.seval("using PCNDECore")
+            self._julia_call = self._juliacall.Main.seval(_LOAD)
         except self._juliacall.JuliaError as error:
             raise EngineUnavailableError(
                 f"PCNDECore does not load in the Julia project {project}: "
                 f"{self._text(error)}. {how_to_prepare()}"
             ) from error
-        self._core = module.PCNDECore
-        # Looking up a function's name takes as long as calling it.
-        self._function = functools.lru_cache(functools.partial(getattr, self._core))
-        found = self.call("versions").items()
-        self.versions = {str(name): str(version) for name, version in found}
+        self.versions: dict[str, str] = tomllib.loads(self.call("versions"))
         check_core(self.versions["PCNDECore"], "running", project)
         try:
             self.call("self_check")
@@ -98,7 +96,7 @@ class Julia:
         try:
             addresses = [number for array in in_place for number in _memory(array)]
             given = [converted for value in arguments for converted in self._to_julia(value)]
-            result = self._function(name)(*given, *addresses)
+            result = self._julia_call(name, *given, *addresses)
             return self._to_python(result)
         except self._juliacall.JuliaError as error:
             failure = self._failure(error)
@@ -109,7 +107,7 @@ class Julia:
         """Copy arrays: a C-ordered (case, time, z) array is (z, time, case) in Julia's order."""
         if isinstance(value, np.ndarray):
             array = np.ascontiguousarray(value, dtype=np.float64)
-            return (self._function("copy_python_array")(*_memory(array)),)
+            return (self._julia_call("copy_python_array", *_memory(array)),)
         if isinstance(value, tuple):
             return (tuple(each for part in value for each in self._to_julia(part)),)
         if isinstance(value, Grid):
@@ -135,8 +133,8 @@ class Julia:
             for name, value in settings.items()
             if value is not None
         ]
-        read = self._core.config if isinstance(config, PCNDEConfig) else self._core.closure_config
-        return read("\n".join(lines))
+        read = "config" if isinstance(config, PCNDEConfig) else "closure_config"
+        return self._julia_call(read, "\n".join(lines))
 
     def _failure(self, error: Any) -> BaseException:
         kind = str(self._juliacall.Base.nameof(self._juliacall.Base.typeof(error.exception)))

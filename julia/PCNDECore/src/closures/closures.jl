@@ -13,7 +13,7 @@ const PASS_TOLERANCE = 1e-9
 """
 Largest number of parameters whose derivatives are computed at the same time.
 """
-const MAX_CHUNK = 8
+const MAX_CHUNK = 10
 
 """
 Largest number of vessels in a cache.
