@@ -252,8 +252,8 @@ class FullBatch(Section):
     Attributes
     ----------
     most_cases : int
-        Largest number of cases in memory: of more training cases, so many are chosen at random.
-        The errors do not decrease beyond about 100.
+        Largest number of cases in use; of more training cases, this many are chosen at random,
+        the same ones for every seed.
     rounds : int
         Number of fits of the flow, each followed by a fit of the area, which is then coupled
         back.

@@ -173,7 +173,8 @@ class PCNDE(Predictor):
         with started_workers(executor) as procedure.workers:
             state = Trainer(procedure, checkpoint).fit(seed, progress)
         facts = provenance(cases, engine, seed) | state.facts
-        novelty = Novelty.fit(cases.inflow, cases.area_undeformed, cases.grid, procedure.left_out)
+        used = procedure.cases  # of many cases, some are not used by the preset fast
+        novelty = Novelty.fit(used.inflow, used.area_undeformed, used.grid, procedure.left_out)
         fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history
         return cls(*fitted, state.uncertainty, novelty, outlet)
 

@@ -165,6 +165,10 @@ def test_no_more_cases_are_used_than_the_settings_allow(engine, small_cases):
     (used,) = state.facts["batches"]
     assert len(used) == 5 and used == sorted(set(used)) and max(used) < len(small_cases)
     assert state.parameters == train(small_cases.select(used), engine).parameters
+    model = PCNDE.fit(small_cases, few, engine, progress=False)
+    scores = model.novelty_scores(small_cases.inflow, small_cases.area_undeformed, small_cases.grid)
+    outside = np.max(list(scores.values()), axis=0) > 1 + 1e-9
+    assert outside.any() and not outside[used].any()
 
 
 @pytest.mark.julia
