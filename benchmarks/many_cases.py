@@ -10,7 +10,7 @@ pages of the file that it has read, and the errors on 500 further cases.
 With ``--workers`` the cases are on a local dask cluster, and the CPU seconds of this process
 and of each worker are reported.  With ``--predict``, the indices of so many other cases are
 predicted, and written to a file, in place of the fit; with ``--sensitivity``, Sobol indices of
-five inputs are computed with about so many predictions.
+five inputs are computed with about this number of predictions.
 """
 
 from __future__ import annotations

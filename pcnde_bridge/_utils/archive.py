@@ -20,7 +20,7 @@ from pcnde_bridge.errors import FileError
 
 _HEADER, _NAMES = "header", "arrays"
 _LARGEST_HEADER = 1 << 24
-_AT_ONCE = 1 << 26  # bytes of an array on disk that are in memory for a checksum
+_AT_ONCE = 1 << 26  # bytes of an array that a checksum reads at once
 _MODEL_KINDS = {"pcnde-model", "pcnde-ensemble"}  # load_model reads both
 _NAMES_OF_KINDS = {"pcnde-cases": "a data set", None: "something else"}
 _SIGNATURES = {b"PK": "", b"\x89HDF": "an HDF5"}  # first bytes of .npz and other files

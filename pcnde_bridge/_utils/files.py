@@ -229,9 +229,9 @@ def check_writable(path: StrPath, size: int = 0) -> None:
 
 
 def reserve(path: Path) -> None:
-    """Allocate the space of a file that is as long as its content will be.
+    """Allocate disk space for the whole length of a file, which may have holes.
 
-    Writing to a memory map of a file without space ends the process.
+    On a full disk, writing to the memory map of a file with holes ends the process.
 
     Raises
     ------

@@ -148,7 +148,7 @@ def _unexpected(error: Exception) -> str:
 
 def run() -> None:
     """Run the command line in its own process."""
-    # JAX makes millions of objects that stay: searching them for garbage takes a tenth of the time.
+    # JAX creates millions of permanent objects: the search for garbage takes a tenth of the time.
     gc.set_threshold(50_000, 20, 100)
     # JAX cannot store functions with diffrax's checks of its arguments, which are callbacks.
     os.environ.setdefault("EQX_ON_ERROR", "off")

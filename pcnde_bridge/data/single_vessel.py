@@ -209,7 +209,8 @@ def _gaps(values: Array, floor: Array) -> Array:
     found: list[Array] = []
     difference = values
     for order in range(1, 6):
-        # From the points before; that of the point before from those after it comes later.
+        # Distance of each point from the extrapolation of those before it.  Shifted by order - 1,
+        # it is the distance of the point before from the extrapolation of those after that.
         difference = difference - np.roll(difference, 1, axis=0)
         size = np.abs(difference)
         jumps = np.minimum(size, np.roll(size, 1 - order, axis=0))

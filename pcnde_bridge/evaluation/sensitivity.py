@@ -32,7 +32,7 @@ INPUTS = (
 factor of the waveform's oscillation, the mean inflow (mL/s), and factors of all resistances of the
 outlet and of the wall's stiffness E·h."""
 
-_LEVELS = 16  # of the stiffness, which a model has one of; the variance is 0.4 % smaller
+_LEVELS = 16  # values of the stiffness, each a model of its own; their variance is 0.4 % too small
 
 
 def sobol_indices(
@@ -76,6 +76,12 @@ def sobol_indices(
         of first and of total order, and the half widths of their 95 % intervals,
         ``first_interval`` and ``total_interval``.
 
+    Warns
+    -----
+    OutsideTrainingWarning, PCNDEWarning
+        See :meth:`PCNDE.predict <pcnde_bridge.PCNDE.predict>`; with a range of the stiffness, the
+        cases of each of its values are numbered from 0.
+
     Raises
     ------
     MissingExtraError
@@ -83,6 +89,8 @@ def sobol_indices(
     InputError
         If the model, a range or an index is not usable, or the model cannot predict the length of
         the vessel or the period of the waveform.
+    SolveError
+        If the equations diverge for a sample.
     """
     if not callable(getattr(model, "predict_batches", None)):
         raise InputError(f"model must be a fitted model, got {type(model).__name__}.")
@@ -171,15 +179,16 @@ def _evaluate(
 
 
 def _points(model: Predictor, vessel: Vessel, waveform: Waveform) -> tuple[Array, dict[str, Any]]:
-    """Return the points of the vessel, and options of predict if they or the period are others."""
+    """Return z, and options of predict if the length or the period is not that of the model."""
     z, period = model.grid.z - model.grid.z[0], model.grid.period
     same = math.isclose(vessel.length, z[-1], rel_tol=1e-6)
     if same and math.isclose(waveform.period, period, rel_tol=1e-6):
         return z, {}
     if not model.any_grid:
         raise InputError(
-            f"vessel has {vessel.length:g} cm and waveform {waveform.period:g} s, but the model "
-            f"predicts {z[-1]:g} cm and {period:g} s only: give a vessel and a waveform of these."
+            f"The vessel is {vessel.length:g} cm long and the period of the waveform is "
+            f"{waveform.period:g} s, but the model predicts {z[-1]:g} cm and {period:g} s only: "
+            "give a vessel of this length and a waveform of this period."
         )
     z = np.linspace(0.0, vessel.length, z.size)
     return z, {"z": z, "period": waveform.period, "units": "cgs"}

@@ -88,7 +88,8 @@ def predict_to_file(
     Raises
     ------
     InputError
-        If an input is not usable, or a file of other inputs is unfinished.
+        If the model, an input or an option is not usable, or a file of other inputs is
+        unfinished.
     FileError
         If the file cannot be written.
     TaskError
@@ -102,7 +103,7 @@ def predict_to_file(
     if unknown := sorted(options.keys() - _OPTIONS):
         raise InputError(f"There is no option {unknown[0]!r} here; there are {listed(_OPTIONS)}.")
     q, s_u = _rows("inflow", inflow), _rows("area_undeformed", area_undeformed)
-    check_values("area_undeformed", s_u, s_u <= 0, "areas must be positive (cm²)")
+    check_values("area_undeformed", s_u, ~(s_u > 0), "areas must be positive")
     count = max(len(q), len(s_u))
     if not {len(q), len(s_u)} <= {1, count}:
         raise InputError(f"inflow has {len(q)} cases and area_undeformed {len(s_u)}.")
@@ -144,9 +145,10 @@ def predict_to_file(
         draft.replace(target)
         remove_results(parts)
     outside = sum(result["outside"] for result in results)
+    lie = "lies" if outside == 1 else "lie"
     for number, what in (
-        (failed.size, f"could not be predicted, and are NaN: {listed(failed.tolist())}"),
-        (outside, "outside the training data; see indices/novelty"),
+        (failed.size, f"could not be predicted (NaN in the file): {listed(failed.tolist())}"),
+        (outside, f"{lie} outside the training data; see indices/novelty"),
     ):
         if number:
             warnings.warn(f"{number} of {counted(count, 'case')} {what}.", PCNDEWarning, 2)

@@ -122,7 +122,7 @@ def fit_scales(
     Parameters
     ----------
     profile : three arrays of shape (z,)
-        Result of :func:`shared_error`; the points of a variable may be only some of those.
+        Result of :func:`shared_error`; a variable may have a subset of the points.
     error, spread : three arrays of shape (case, time, z)
         Absolute errors of the cases left out, and the spread s of their predictions.
     relative : array of shape (case,)

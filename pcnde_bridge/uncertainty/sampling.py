@@ -260,17 +260,17 @@ def calibrate(
             parts = shear - np.abs(truth.wall_shear_stress), shear, scale
             few = [np.moveaxis(part[:, :: -(-shear.shape[1] // _TIMES)], 1, -1) for part in parts]
             shears.append(np.stack([part.reshape(-1, part.shape[-1]) for part in few]))
-        spreads.append([[np.zeros_like(values) for values in _until_outlet(errors[-1])]])
+        spreads.append([[np.zeros_like(values) for values in _with_outlet_pressure(errors[-1])]])
         for shift in _SHIFTS[1:]:
             shifts = np.tile(shift * _NODES[:, None], len(truth))
             samples = model.predict(member, shifts, inputs, at_end)
-            of_each = _until_outlet([samples[name] for name in VARIABLES])
+            of_each = _with_outlet_pressure([samples[name] for name in VARIABLES])
             spreads[-1].append([_normal_spread(values) for values in of_each])
     error = np.concatenate(errors, axis=1)
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
     profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
     profile[-1] = profile[-1, -1]
-    known = _until_outlet(profile), _until_outlet(error)
+    known = _with_outlet_pressure(profile), _with_outlet_pressure(error)
     found = []
     for of_folds in zip(*spreads, strict=True):
         spread = [np.concatenate(values) for values in zip(*of_folds, strict=True)]
@@ -284,8 +284,8 @@ def calibrate(
     return Uncertainty(np.array(members), *widths, profile, scale, reference)
 
 
-def _until_outlet(values: Iterable[Array]) -> list[Array]:
-    """Return flow and area, and the pressure at the outlet: its drop has widths of its own."""
+def _with_outlet_pressure(values: Iterable[Array]) -> list[Array]:
+    """Return flow, area and the pressure at the outlet; the drop has widths of its own."""
     flow, area, pressure = values
     return [flow, area, pressure[..., -1:]]
 

@@ -70,7 +70,7 @@ def test_length_and_period_are_those_of_the_vessel_and_the_waveform(physics_mode
     assert given["period"] == 0.8
     assert given["z"][-1] == 5.0
     monkeypatch.setattr(type(physics_model), "any_grid", False)
-    with pytest.raises(InputError, match=r"vessel has 5 cm and waveform 0.8 s, but the model"):
+    with pytest.raises(InputError, match=r"5 cm long and the period of the waveform is 0.8 s, but"):
         sobol_indices(physics_model, {"blockage": (0.5, 0.6)}, ["ffr"], **options)
 
 

@@ -144,7 +144,7 @@ def test_cases_that_fail_are_nan_and_named(physics_model, inputs, path, monkeypa
 
 def test_cases_outside_the_training_data_are_counted(physics_model, inputs, path):
     inflow = inputs[0] * np.where(np.arange(10) < 3, 3.0, 1.0)[:, None]
-    with pytest.warns(PCNDEWarning, match="3 of 10 cases outside the training data"):
+    with pytest.warns(PCNDEWarning, match="3 of 10 cases lie outside the training data"):
         predict_to_file(physics_model, path, inflow, inputs[1], fields=False, progress=False)
 
 

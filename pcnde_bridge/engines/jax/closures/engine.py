@@ -111,9 +111,8 @@ class JaxClosures(Closures):
             _write_fields(coupled, batch, *(field[rows] for field in result if field is not None))
             return np.asarray(coupled.change)
 
-        settled = np.concatenate(_in_batches(compute, count)) <= _CONVERGED * np.abs(inflow).max(
-            axis=1
-        )
+        changes = np.concatenate(_in_batches(compute, count))
+        settled = changes <= _CONVERGED * np.abs(inflow).max(axis=1)
         if not settled.all():
             raise SolveError(
                 f"Flow, area and pressure of case {np.argmin(settled)} do not settle in "
@@ -126,7 +125,7 @@ class JaxClosures(Closures):
 
 
 def _in_batches(compute: Callable[[int], Result], count: int) -> list[Result]:
-    """Return the results of several threads for the first case, or vessel, of each batch."""
+    """Call a function with the first index of each batch, in threads; return all results."""
     starts = range(0, count, _BATCH)
     if len(starts) == 1:
         return [compute(0)]
