@@ -19,15 +19,10 @@ from pcnde_bridge.hemodynamics.waveform import Waveform, coronary
 from pcnde_bridge.model.pcnde import PCNDE
 from pcnde_bridge.model.predictor import Predictor
 
-INPUTS = (
-    "blockage",
-    "position",
-    "length",
-    "amplitude",
-    "mean_flow",
-    "outlet_resistance",
-    "wall_stiffness",
-)
+_STENOSIS, _INFLOW = ("blockage", "position", "length"), ("amplitude", "mean_flow")
+_FACTORS = "outlet_resistance", "wall_stiffness"
+
+INPUTS = *_STENOSIS, *_INFLOW, *_FACTORS
 """Inputs that can vary: those of :class:`~pcnde_bridge.hemodynamics.geometry.Stenosis`, the
 factor of the waveform's oscillation, the mean inflow (mL/s), and factors of all resistances of the
 outlet and of the wall's stiffness E·h."""
@@ -100,7 +95,7 @@ def sobol_indices(
         pair = finite_vector(f"ranges[{name!r}]", limits)
         if name not in INPUTS or len(pair) != 2 or not pair[0] < pair[1]:
             raise InputError(f"{name}: {limits} is not a range of one of {list(INPUTS)}.")
-        if name in INPUTS[-2:] and not (_has_closures(model) and pair[0] > 0):
+        if name in _FACTORS and not (_has_closures(model) and pair[0] > 0):
             raise InputError(
                 f"{name}: {limits} must be positive factors, for a model of the preset 'physics'."
             )
@@ -153,18 +148,20 @@ def _evaluate(
 ) -> Array:
     """Return the indices (point, index), predicted in batches."""
     (stenosis,) = vessel.stenoses
-    given = (stenosis.blockage, stenosis.position, stenosis.length, 1.0, waveform.mean, 1.0, 1.0)
-    values = np.tile(given, (len(points), 1))
-    values[:, [INPUTS.index(name) for name in names]] = points
+    fixed = {name: getattr(stenosis, name) for name in _STENOSIS} | {"mean_flow": waveform.mean}
+    given = {name: np.full(len(points), fixed.get(name, 1.0)) for name in INPUTS}
+    given |= dict(zip(names, points.T, strict=True))
     oscillation = waveform.samples(model.grid.time.size) - waveform.mean
     z, options = _points(model, vessel, waveform)
-    inflow = values[:, 4:5] + values[:, 3:4] * oscillation
-    vessels = (replace(vessel, stenoses=(Stenosis(*row),)) for row in values[:, :3].tolist())
+    inflow = given["mean_flow"][:, None] + given["amplitude"][:, None] * oscillation
+    shapes = np.stack([given[name] for name in _STENOSIS], axis=1).tolist()
+    vessels = (replace(vessel, stenoses=(Stenosis(*shape),)) for shape in shapes)
     areas = np.array([each.area_undeformed(z) for each in vessels])
-    outlet = _outlet(model, values[:, 5]) if "outlet_resistance" in names else None
+    resistance, stiffness = (given[name] for name in _FACTORS)
+    outlet = _outlet(model, resistance) if "outlet_resistance" in names else None
     found = np.empty((len(points), len(indices)))
-    for level in np.unique(values[:, 6]):
-        rows = np.flatnonzero(values[:, 6] == level)
+    for level in np.unique(stiffness):
+        rows = np.flatnonzero(stiffness == level)
         if outlet is not None:
             options = options | {"outlet": outlet.select(rows)}
         predictor, start = _stiffer(model, level), 0

@@ -172,8 +172,8 @@ class PCNDE(Predictor):
             raise InputError("executor= needs the preset 'physics' and the engine 'jax'.")
         with started_workers(executor) as procedure.workers:
             state = Trainer(procedure, checkpoint).fit(seed, progress)
-        facts = provenance(cases, engine, seed) | state.facts
         used = procedure.cases  # of many cases, some are not used by the preset fast
+        facts = provenance(used, engine, seed) | state.facts
         novelty = Novelty.fit(used.inflow, used.area_undeformed, used.grid, procedure.left_out)
         fitted = procedure.config, state.parameters, cases.grid, engine, facts, state.history
         return cls(*fitted, state.uncertainty, novelty, outlet)

@@ -37,12 +37,13 @@ class FullBatchTraining(StagedTraining):
     """Fits every stage to all cases at once, or to as many as the settings allow."""
 
     def __init__(self, cases: Cases, config: PCNDEConfig, engine: Engine) -> None:
-        self._used = some_of(np.arange(len(cases)), config.full_batch.most_cases)
-        super().__init__(cases.select(self._used), config, engine)
+        if len(cases) > (most := config.full_batch.most_cases):
+            cases = cases.select(some_of(np.arange(len(cases)), most))
+        super().__init__(cases, config, engine)
 
     def divide(self, _: int) -> tuple[Positions, ...]:
-        """Return the cases in use as one batch."""
-        return (self._used,)
+        """Return all cases in use as one batch."""
+        return (np.arange(len(self.cases)),)
 
     def steps(self, _: TrainingState) -> list[Step]:
         """Return all steps of a run: rounds of flow and area, then the pressure."""

@@ -202,8 +202,8 @@ function closure(name::String, θ, inputs, z, period, config::ClosureConfig)
     return value_and_jacobian(CLOSURES[name](inputs, z, period, config), θ)
 end
 
-# A table, so that nothing is inferred for the inputs of another closure, where other packages
-# would invalidate it.
+# A table in place of branches. Julia would infer every branch for the inputs of each closure, and
+# methods of other packages would invalidate the result.
 const CLOSURES = Dict{String, Any}(
     "losses" => (inputs, z, period, config) -> LossesClosure(inputs..., z, config),
     "area" => (inputs, z, period, config) -> AreaClosure(inputs..., z, config),

@@ -11,7 +11,7 @@ Change of Q(L), relative to the largest inflow, below which a prediction needs n
 const PASS_TOLERANCE = 1e-9
 
 """
-Largest number of parameters whose derivatives are computed at the same time.
+Largest number of parameters whose derivatives are computed at the same time: the losses have ten.
 """
 const MAX_CHUNK = 10
 
