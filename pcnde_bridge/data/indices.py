@@ -408,7 +408,6 @@ class VesselQuantities(Displayed):
 
     def _positions(self, proximal: Position, distal: Position) -> tuple[Array, Array]:
         """Return the positions of every case, (case,): those given, else the default."""
-        upstream = downstream = np.empty(0)
         if proximal is None or distal is None:
             upstream, downstream = measuring_positions(self.z, self.area_undeformed)
         if proximal is not None:

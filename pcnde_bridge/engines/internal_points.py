@@ -6,8 +6,9 @@ S_u is read at knots that are twice as far apart, and a cubic spline through the
 it in between: more points of the data do not add detail that fewer points do not show.
 """
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,8 @@ _ROUGH = 0.8  # fourth over second differences of ln S_u at the knots; smooth st
 _NEGLIGIBLE = 0.004  # second difference of ln S_u
 
 
-class InternalPoints(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class InternalPoints:
     """Internal points of one grid, and the way from the given points to them and back.
 
     Attributes
@@ -43,7 +45,7 @@ class InternalPoints(NamedTuple):
     before: IntArray
     share: Array
 
-    @property
+    @cached_property
     def outward(self) -> Array:
         """:meth:`at_given` as a matrix (internal, z)."""
         return np.asarray(self.at_given(np.eye(self.z.size)))

@@ -1,6 +1,7 @@
 """Sensitivity of indices such as FFR to the inputs of a model: Sobol indices by SALib."""
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -12,11 +13,12 @@ from pcnde_bridge._typing import Array
 from pcnde_bridge._utils.optional import require
 from pcnde_bridge._utils.validation import all_of, check_memory, finite_vector, whole
 from pcnde_bridge.engines.closure_parameters import ClosureParameters
-from pcnde_bridge.errors import InputError
+from pcnde_bridge.errors import InputError, PCNDEWarning
 from pcnde_bridge.hemodynamics.geometry import Stenosis, Vessel
 from pcnde_bridge.hemodynamics.outlet import Windkessel
 from pcnde_bridge.hemodynamics.waveform import Waveform, coronary
 from pcnde_bridge.model.pcnde import PCNDE
+from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Predictor
 
 _STENOSIS, _INFLOW = ("blockage", "position", "length"), ("amplitude", "mean_flow")
@@ -74,8 +76,8 @@ def sobol_indices(
     Warns
     -----
     OutsideTrainingWarning, PCNDEWarning
-        See :meth:`PCNDE.predict <pcnde_bridge.PCNDE.predict>`; with a range of the stiffness, the
-        cases of each of its values are numbered from 0.
+        See :meth:`PCNDE.predict <pcnde_bridge.PCNDE.predict>`; with a range of the stiffness, for
+        the samples of its lowest value.
 
     Raises
     ------
@@ -160,19 +162,28 @@ def _evaluate(
     resistance, stiffness = (given[name] for name in _FACTORS)
     outlet = _outlet(model, resistance) if "outlet_resistance" in names else None
     found = np.empty((len(points), len(indices)))
-    for level in np.unique(stiffness):
+    for number, level in enumerate(np.unique(stiffness)):
         rows = np.flatnonzero(stiffness == level)
         if outlet is not None:
             options = options | {"outlet": outlet.select(rows)}
-        predictor, start = _stiffer(model, level), 0
-        for prediction in predictor.predict_batches(inflow[rows], areas[rows], **options):
-            table = prediction.indices()
-            known = [*table.select_dtypes("number")]
-            if unknown := [index for index in indices if index not in known]:
-                raise InputError(f"There is no index {unknown[0]!r}; there are {known}.")
-            found[rows[start : start + len(table)]] = table[list(indices)].to_numpy(dtype=float)
-            start += len(table)
+        with warnings.catch_warnings():
+            if number:  # random samples, as those of the first level
+                warnings.simplefilter("ignore", PCNDEWarning)
+            predictions = _stiffer(model, level).predict_batches(
+                inflow[rows], areas[rows], **options
+            )
+            tables = [_numbers(prediction, indices) for prediction in predictions]
+        found[rows] = np.concatenate(tables)
     return found
+
+
+def _numbers(prediction: Prediction, indices: Sequence[str]) -> Array:
+    """Return indices of a prediction, (case, index)."""
+    table = prediction.indices()
+    known = [*table.select_dtypes("number")]
+    if unknown := [index for index in indices if index not in known]:
+        raise InputError(f"There is no index {unknown[0]!r}; there are {known}.")
+    return np.asarray(table[list(indices)].to_numpy(dtype=float))
 
 
 def _points(model: Predictor, vessel: Vessel, waveform: Waveform) -> tuple[Array, dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pcnde_bridge import InputError, MissingExtraError
+from pcnde_bridge import InputError, MissingExtraError, PCNDEWarning
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.evaluation import sensitivity, sobol_indices
 from pcnde_bridge.hemodynamics import Reflection, Stenosis, Vessel, coronary
@@ -78,7 +79,12 @@ def test_outlet_and_wall(physics_model):
     """Pressures grow with the resistance; the stiffness has little effect on their means."""
     ranges = {"outlet_resistance": (0.8, 1.2), "wall_stiffness": (0.5, 2.0)}
     pressures = ("mean_pressure_mmHg", "systolic_mmHg")
-    found = sobol_indices(physics_model, ranges, pressures, samples=32)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = sobol_indices(physics_model, ranges, pressures, samples=32)
+    # Not once more for each value of the stiffness.
+    kinds = [w.category for w in caught if issubclass(w.category, PCNDEWarning)]
+    assert len(kinds) == len(set(kinds))
     means = found.loc["mean_pressure_mmHg", "total"]
     assert means["outlet_resistance"] > 0.9 > 0.1 > means["wall_stiffness"]
     assert found.loc[("systolic_mmHg", "wall_stiffness"), "total"] > means["wall_stiffness"]
