@@ -77,7 +77,8 @@ along_vessel = in_double(boundary_layer.along_vessel)
 @in_double
 def drop(parameters, flow, flow_rate, s_u, z):
     """p − p(L), (time, z)."""
-    return losses.drop(losses.coefficients(parameters, s_u, z, BLOOD), flow, flow_rate, z)
+    c, _ = losses.coefficients(parameters, s_u, z, BLOOD)
+    return losses.drop(c, flow, flow_rate, z)
 
 
 # ---- wall ------------------------------------------------------------------
@@ -448,7 +449,7 @@ def test_modes_give_the_drop_of_a_flow_that_is_stored_on_its_way(direction):
             first = shared_terms.rate(x, 1.0, jnp)
             return x, first, shared_terms.rate(first, 1.0, jnp)
 
-        c = losses.coefficients(numbers, s_u, z, BLOOD)
+        c, _ = losses.coefficients(numbers, s_u, z, BLOOD)
         signals = with_rates(q), with_rates(d), c.reference_flow
         in_time, rates = map(jnp.stack, losses.modes_in_time(*signals))
         return in_time.T @ losses.modes_in_space(c, share, z), in_time, rates, c

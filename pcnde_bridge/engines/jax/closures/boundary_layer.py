@@ -61,18 +61,16 @@ def along_vessel(
 
     Parameters
     ----------
-    area : array of shape (z,)
-        S_u, cm².
-    z : array of shape (z,)
-        Points, cm.
-    viscosity : array of shape (flow,)
+    area, z : arrays of shape (..., z)
+        S_u, cm², and the points, cm.
+    viscosity : array of shape (..., flow)
         πν/Q of each flow, 1/cm.
     growth, momentum, spread, viscous_spread : scalars
         c_g, β, s and s_ν.
 
     Returns
     -------
-    thickness, jet, volume : arrays of shape (flow, z)
+    thickness, jet, volume : arrays of shape (..., flow, z)
         d; the area A_j of the jet, cm², which is S_u/β where the flow fills the vessel; and the
         jet's volume since its beginning, cm³.
     """
@@ -99,18 +97,22 @@ def along_vessel(
         return (after, volume), (after, volume)
 
     def march(function: Any, first: Any, intervals: tuple[jax.Array, ...], stride: int) -> Any:
-        _, later = jax.lax.scan(function, first, intervals)
+        along = tuple(jnp.moveaxis(values, -1, 0)[..., None] for values in intervals)
+        _, later = jax.lax.scan(function, first, along)
         return jax.tree.map(
-            lambda start, rest: jnp.concatenate([start[None], rest[stride - 1 :: stride]]).T,
+            lambda start, rest: jnp.moveaxis(
+                jnp.concatenate([start[None], rest[stride - 1 :: stride]]), 0, -1
+            ),
             first,
             later,
         )
 
-    one = jnp.ones_like(viscosity)
+    one = jnp.ones_like(filled[..., :1] * viscosity)
     slope = jnp.diff(jnp.log(area)) / steps
-    layer_steps = jnp.repeat(steps / _STEPS, _STEPS), jnp.repeat(slope, _STEPS)
-    thickness = march(grow_layer, one, layer_steps, _STEPS)
-    jet, volume = march(grow_jet, (filled[0] * one, 0 * one), (steps, filled[:-1], filled[1:]), 1)
+    layer_steps = (jnp.repeat(values, _STEPS, axis=-1) for values in (steps / _STEPS, slope))
+    thickness = march(grow_layer, one, tuple(layer_steps), _STEPS)
+    intervals = steps, filled[..., :-1], filled[..., 1:]
+    jet, volume = march(grow_jet, (filled[..., :1] * one, 0 * one), intervals, 1)
     return thickness, jet, volume
 
 

@@ -116,10 +116,10 @@ def vessel_modes(
     uniform = displacement(wall, jnp.ones((1, z.size)), area_undeformed, z, law)[0]
     per_pressure = 2 * jnp.pi * radius * uniform
     first = from_inlet(per_pressure, z)
-    coefficients = losses.coefficients(loss, area_undeformed, z, physics)
+    coefficients, marched = losses.coefficients(loss, area_undeformed, z, physics)
     share = first / first[-1]
     pressure = losses.modes_in_space(coefficients, share, z)
-    terms = wall_shear_stress.terms(coefficients, physics)
+    terms = wall_shear_stress.terms(marched, physics)
     moved = displacement(wall, pressure, area_undeformed, z, law)
     square = jnp.pi * uniform**2
     one = jnp.ones_like(z)

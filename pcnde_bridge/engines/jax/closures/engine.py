@@ -252,9 +252,9 @@ def _each_case(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
 
 def _losses(parameters: jax.Array, cases: Any, fixed: Any, config: ClosureConfig) -> jax.Array:
     (which, *flows), (areas, z) = cases, fixed
-    one_vessel = partial(losses.coefficients, parameters, z=z, physics=config.physics)
-    vessels = jax.tree.map(lambda array: array[which], jax.vmap(one_vessel)(areas))
-    return jax.vmap(partial(losses.drop, z=z))(vessels, *flows)
+    vessels, _ = losses.coefficients(parameters, areas, z, config.physics)
+    of_cases = jax.tree.map(lambda array: array[which], vessels)
+    return jax.vmap(partial(losses.drop, z=z))(of_cases, *flows)
 
 
 @_each_case

@@ -84,39 +84,35 @@ DIRECTED = len(_FACTORS)
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of the pressure losses of one vessel.
+    """Coefficients of the pressure losses of a vessel, or of several.
 
     Attributes
     ----------
-    reference_flow : scalar
+    reference_flow : array of shape (...)
         Q₀, mL/s.
-    inertia : array of shape (z,)
+    inertia : array of shape (..., z)
         Factor of ∂Q/∂t, per length.
-    forward, back : array of shape (4, z − 1)
+    forward, back : array of shape (..., 4, z − 1)
         D₁, D₂, D₃ and the factor of ∂Q/∂t of the jet's lag, integrated over each interval, for
         Q > 0 and, with the sign of a drop in the direction of z, for Q < 0.
-    marched : Marched
-        Layer and jet of flows in the direction of z, and in the mirrored vessel; every array has
-        one more axis in front.
     """
 
     reference_flow: jax.Array
     inertia: jax.Array
     forward: jax.Array
     back: jax.Array
-    marched: Marched
 
 
 class Marched(NamedTuple):
-    """Vessel, and the flows at which the steady drop is computed.
+    """Layer and jet in the direction of z, and in the mirrored vessel.
 
     Attributes
     ----------
-    area, z : arrays of shape (z,)
+    area, z : arrays of shape (..., 2, 1, z) and (2, 1, z)
         S_u, cm², and the points, cm.
-    flow : array of shape (3, 1)
-        Q, mL/s.
-    layer, jet : arrays of shape (3, z)
+    flow : array of shape (..., 1, 3, 1)
+        Flows Q at which the steady drop is computed, mL/s.
+    layer, jet : arrays of shape (..., 2, 3, z)
         d, and S_u/(β·A_j), which is 1 where the flow fills the vessel.
     """
 
@@ -144,14 +140,14 @@ class _Parameters(NamedTuple):
 
 def coefficients(
     parameters: jax.Array, area_undeformed: jax.Array, z: jax.Array, physics: Physics
-) -> Coefficients:
-    """Compute the coefficients of one vessel.
+) -> tuple[Coefficients, Marched]:
+    """Compute the coefficients of one vessel, or of several.
 
     Parameters
     ----------
     parameters : array of shape (10,)
         c_f, c_i, c_c, c_g, β, c_j, c_s, s, s_ν and λ.
-    area_undeformed : array of shape (z,)
+    area_undeformed : array of shape (..., z)
         S_u, cm².
     z : array of shape (z,)
         Points, cm.
@@ -160,29 +156,31 @@ def coefficients(
     """
     p = _Parameters(*parameters)
     kinematic = jnp.pi * physics.viscosity / physics.density
-    radius = jnp.sqrt((area_undeformed[0] + area_undeformed[-1]) / (2 * jnp.pi))
+    radius = jnp.sqrt((area_undeformed[..., 0] + area_undeformed[..., -1]) / (2 * jnp.pi))
     reference = _REYNOLDS / 2 * kinematic * radius
-    both = jnp.stack([area_undeformed, area_undeformed[::-1]]), jnp.stack([z, z[-1] - z[::-1]])
-    (forward, back), marched = jax.vmap(lambda s, x: _directed(p, s, x, reference, physics))(*both)
+    area = jnp.stack([area_undeformed, area_undeformed[..., ::-1]], axis=-2)
+    both = area, jnp.stack([z, z[-1] - z[::-1]])
+    drops, marched = _directed(p, *both, reference[..., None, None] * _FLOWS, physics)
     inertia = p.inertia * physics.density / area_undeformed
-    return Coefficients(reference, inertia, forward, -back[:, ::-1], marched)
+    forward, back = drops[..., 0, :, :], -drops[..., 1, :, ::-1]
+    return Coefficients(reference, inertia, forward, back), marched
 
 
 def _directed(
-    p: _Parameters, area: jax.Array, z: jax.Array, reference: jax.Array, physics: Physics
+    p: _Parameters, area: jax.Array, z: jax.Array, flow: jax.Array, physics: Physics
 ) -> tuple[jax.Array, Marched]:
-    """Return the drops of a flow in the direction of z over each interval, (4, z − 1)."""
+    """Return the drops of flows in the direction of z over each interval, (..., 4, z − 1)."""
     density, viscosity = physics.density, physics.viscosity
-    flow = (reference * _FLOWS)[:, None]
     layer, jet, volume = along_vessel(
         area,
         z,
-        jnp.pi * viscosity / density / flow[:, 0],
+        jnp.pi * viscosity / density / flow,
         p.layer_growth,
         p.jet_momentum,
         p.jet_spread,
         p.jet_viscous_spread,
     )
+    area, z, flow = area[..., None, :], z[..., None, :], flow[..., None]
     steps = jnp.diff(z)
     core = flow / (area * mean_speed(layer))
     attached = p.friction * 4 * jnp.pi * viscosity * core * layer**6 / area
@@ -197,13 +195,15 @@ def _directed(
     factors = to_factors(narrows * accelerated + (1 - narrows) * mixed + friction)
     lag = (1 / jet - p.jet_momentum / area) * volume
     # The lag is computed at the second flow.
-    drops = jnp.concatenate([factors, -2 * p.jet_lag * (per_area * jnp.diff(lag))[1:2]])
+    lagging = -2 * p.jet_lag * (per_area * jnp.diff(lag))[..., 1:2, :]
+    drops = jnp.concatenate([factors, lagging], axis=-2)
     return drops, Marched(area, z, flow, layer, area / (p.jet_momentum * jet))
 
 
 def _narrowing_share(area: jax.Array, z: jax.Array) -> jax.Array:
-    """Return n, the share of each interval, (z − 1,), in which the vessel narrows."""
-    slope = jnp.pad((area[2:] - area[:-2]) / (z[2:] - z[:-2]), 1)
+    """Return n, the share of each interval, (..., z − 1), in which the vessel narrows."""
+    slope = (area[..., 2:] - area[..., :-2]) / (z[..., 2:] - z[..., :-2])
+    slope = jnp.pad(slope, [(0, 0)] * (slope.ndim - 1) + [(1, 1)])
     falls, rises = (2 * _middle(jnp.maximum(sign * slope, 0)) for sign in (-1, 1))
     straight = _STRAIGHT * _middle(jnp.sqrt(jnp.pi * area))
     steep = falls + rises

@@ -35,7 +35,7 @@ import jax.numpy as jnp
 from pcnde_bridge.config.settings import Physics
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures.boundary_layer import mean_speed
-from pcnde_bridge.engines.jax.closures.pressure_losses import Coefficients, Marched
+from pcnde_bridge.engines.jax.closures.pressure_losses import Marched
 
 _WIDTH = 2
 """Intervals on either side of a point from which derivatives are computed."""
@@ -73,15 +73,15 @@ class Terms(NamedTuple):
     back: jax.Array
 
 
-def terms(c: Coefficients, physics: Physics) -> Terms:
-    """Compute the terms of one vessel from the coefficients of its losses."""
-    forward, back = jax.vmap(lambda marched: _directed(marched, physics))(c.marched)
-    unsteady = physics.density / 6 / jnp.sqrt(jnp.pi * c.marched.area[0])
-    return Terms(unsteady, forward, -back[..., ::-1])
+def terms(marched: Marched, physics: Physics) -> Terms:
+    """Compute the terms of one vessel from its layer and jet."""
+    directed = _directed(marched, physics)
+    unsteady = physics.density / 6 / jnp.sqrt(jnp.pi * marched.area[0, 0])
+    return Terms(unsteady, directed[:, 0], -directed[:, 1, :, ::-1])
 
 
 def _directed(marched: Marched, physics: Physics) -> jax.Array:
-    """Return the terms of a flow in the direction of z, (9, 3, z)."""
+    """Return the terms of flows in the direction of z, (9, 2, 3, z)."""
     area, z, flow, d, jet = marched
     kinematic = physics.viscosity / physics.density
     radius = jnp.sqrt(area / jnp.pi)
@@ -128,9 +128,10 @@ def _root(values: jax.Array) -> jax.Array:
 def _derivatives(values: jax.Array, z: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the first two derivatives along the last axis, zero at its ends."""
     both = 2 * _WIDTH
-    slopes = (values[..., _WIDTH:] - values[..., :-_WIDTH]) / (z[_WIDTH:] - z[:-_WIDTH])
-    first = (values[..., both:] - values[..., :-both]) / (z[both:] - z[:-both])
-    second = 2 * (slopes[..., _WIDTH:] - slopes[..., :-_WIDTH]) / (z[both:] - z[:-both])
+    distance = z[..., both:] - z[..., :-both]
+    slopes = (values[..., _WIDTH:] - values[..., :-_WIDTH]) / (z[..., _WIDTH:] - z[..., :-_WIDTH])
+    first = (values[..., both:] - values[..., :-both]) / distance
+    second = 2 * (slopes[..., _WIDTH:] - slopes[..., :-_WIDTH]) / distance
     ends = [(0, 0)] * (values.ndim - 1) + [(_WIDTH, _WIDTH)]
     return jnp.pad(first, ends), jnp.pad(second, ends)
 
