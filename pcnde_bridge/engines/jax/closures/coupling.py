@@ -274,7 +274,8 @@ def _iterate(
         largest = jnp.sum(share * jnp.abs(change))
         return harmonics + change, largest, last_change, number + 1
 
-    zero = jnp.zeros(())
+    # An array of the case, with a derivative: constants would be traced once more for each.
+    zero = 0 * jnp.abs(passive[0])
     first = passive, zero, zero, jnp.zeros((), dtype=int)
     if settled is None:
         last = jax.lax.fori_loop(0, passes, lambda _, before: advance(before), first)
