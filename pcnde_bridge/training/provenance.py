@@ -6,7 +6,8 @@ import shlex
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
-from importlib.metadata import version as version_of
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from pcnde_bridge.data.cases import Cases
 from pcnde_bridge.engines.protocol import Engine
 from pcnde_bridge.errors import InputError
 
+_version_of = cache(version)  # it reads a file
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # terminals may interpret them
 
 
@@ -77,7 +79,7 @@ def provenance(cases: Cases, engine: Engine, seed: int) -> dict[str, Any]:
         "versions": {
             "pcnde_bridge": __version__,
             "python": platform.python_version(),
-            **{name: version_of(name) for name in ("numpy", "pandas", "scipy")},
+            **{name: _version_of(name) for name in ("numpy", "pandas", "scipy")},
             **engine.versions,
         },
         "platform": platform.platform(),
