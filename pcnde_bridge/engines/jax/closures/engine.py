@@ -178,9 +178,9 @@ def _distinct_vessels(
         batch = areas[start : start + _BATCH]
         with double_precision():
             s_u = _padded(batch, _rounded(len(batch)))
-            modes = _vessels(*vectors, s_u, points.z, config=config)
-            found: tuple[VesselModes, Terms] = jax.tree.map(at_given, modes)
-        return found
+            modes, terms = _vessels(*vectors, s_u, points.z, config=config)
+            # The terms are used at the internal points alone.
+            return jax.tree.map(at_given, modes), jax.tree.map(np.asarray, terms)
 
     return jax.tree.map(lambda *a: np.concatenate(a), *_in_batches(integrate, len(areas)))
 
