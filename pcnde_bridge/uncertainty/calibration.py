@@ -134,7 +134,7 @@ def fit_scales(
         The factors, and the mean standard deviations.
     """
     size = relative[:, None, None]
-    widths = [np.hypot(s, size * e) for s, e in zip(spread, profile, strict=True)]
+    widths = [np.sqrt(s**2 + (size * e) ** 2) for s, e in zip(spread, profile, strict=True)]
     found = np.array([_factor(*pair) for pair in zip(error, widths, strict=True)])
     return found, found * [width.mean() for width in widths]
 

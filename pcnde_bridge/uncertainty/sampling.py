@@ -57,6 +57,7 @@ from pcnde_bridge.uncertainty.calibration import (
 
 _SHIFTS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(5)  # of a standard normal variable
+_OUTER = _NODES != 0  # the middle one is the prediction without a shift
 _TIMES = 25  # for the widths of the wall shear stress
 _NEGLIGIBLE = 1e-12
 _MOST_FAILED = 0.1  # of a case's samples
@@ -262,10 +263,12 @@ def calibrate(
             shears.append(np.stack([part.reshape(-1, part.shape[-1]) for part in few]))
         spreads.append([[np.zeros_like(values) for values in _with_outlet_pressure(errors[-1])]])
         for shift in _SHIFTS[1:]:
-            shifts = np.tile(shift * _NODES[:, None], len(truth))
+            shifts = np.tile(shift * _NODES[_OUTER, None], len(truth))
             samples = model.predict(member, shifts, inputs, at_end)
-            of_each = _with_outlet_pressure([samples[name] for name in VARIABLES])
-            spreads[-1].append([_normal_spread(values) for values in of_each])
+            outer, middle = (
+                _with_outlet_pressure(of[name] for name in VARIABLES) for of in (samples, plain)
+            )
+            spreads[-1].append([_normal_spread(a - b) for a, b in zip(outer, middle, strict=True)])
     error = np.concatenate(errors, axis=1)
     relative = relative_amplitude(cases.inflow[np.concatenate(left_out)], reference)
     profile, size = shared_error(error, relative), error.mean(axis=(1, 2, 3)) + _NEGLIGIBLE
@@ -290,11 +293,11 @@ def _with_outlet_pressure(values: Iterable[Array]) -> list[Array]:
     return [flow, area, pressure[..., -1:]]
 
 
-def _normal_spread(values: Array) -> Array:
-    """Return the standard deviation of values at the nodes of a normal variable, (node, ...)."""
-    weights = _WEIGHTS / _WEIGHTS.sum()
-    mean = np.tensordot(weights, values, axes=1)
-    return np.sqrt(np.tensordot(weights, (values - mean) ** 2, axes=1))
+def _normal_spread(change: Array) -> Array:
+    """Return the standard deviation of changes at the outer nodes of a normal variable."""
+    weights = _WEIGHTS[_OUTER] / _WEIGHTS.sum()
+    mean = np.tensordot(weights, change, axes=1)
+    return np.sqrt(np.tensordot(weights, change**2, axes=1) - mean**2)
 
 
 def _replace(samples: Mapping[str, Array], failed: BoolArray) -> None:
