@@ -177,7 +177,8 @@ class Closures(ABC):
         Returns
         -------
         callable
-            Maps the parameters ``correction`` to Q, mL/s, (case, time, point).
+            Maps the parameters ``correction`` to Q, mL/s, (case, time, point).  The derivatives
+            in its ceiling and scales, which no fit changes, may be zero instead.
         """
 
     def wall_shear_stress(

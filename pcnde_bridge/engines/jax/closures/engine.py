@@ -16,7 +16,7 @@ from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
-from pcnde_bridge.engines.closure_parameters import ClosureParameters
+from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
 from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures import wall_shear_stress
@@ -65,7 +65,9 @@ class JaxClosures(Closures):
         at = [*points, -1]  # the outlet's flow is the unknown of the coupling
         vessels = modes.flow[which][..., at], modes.flow_slope[which][..., at]
         cases = *vessels, modes.reference_flow[which], inflow, _outlets(others, inputs, outlet)
-        return _problem(_flow, cases, (others.wall, grid.period), config)
+        size, given = sizes(config)["correction"], slice(1, CORRECTION_SCALARS)
+        trained = np.delete(np.eye(size), given, axis=0)
+        return _problem(_flow, cases, (others.wall, grid.period), config, trained)
 
     def _problem(
         self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
@@ -339,9 +341,10 @@ def solve_one(
 
 
 @compiled("function", "config")
-def _value_and_jacobian(
+def _value_and_slopes(
     function: Callable[..., jax.Array],
     parameters: jax.Array,
+    directions: jax.Array,
     cases: Any,
     fixed: Any,
     config: ClosureConfig,
@@ -352,7 +355,7 @@ def _value_and_jacobian(
     def push(tangent: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(values, (parameters,), (tangent,))
 
-    return jax.vmap(push, out_axes=(None, -1))(jnp.eye(parameters.size))
+    return jax.vmap(push, out_axes=(None, -1))(directions)
 
 
 def _problem(
@@ -360,8 +363,12 @@ def _problem(
     cases: tuple[Any, ...],
     fixed: tuple[Any, ...],
     config: ClosureConfig,
+    trained: Array | None = None,
 ) -> Problem:
-    """Transfer the data once; compile once for each shape, of which there are few."""
+    """Transfer the data once; compile once for each shape, of which there are few.
+
+    The Jacobian is zero but along the directions ``trained``, (direction, n), by default all.
+    """
     count = len(jax.tree.leaves(cases)[0])
     padded = jax.tree.map(partial(_padded, size=_rounded(count)), cases)
     with double_precision():
@@ -369,9 +376,12 @@ def _problem(
     settings = _relevant(config)
 
     def evaluate(parameters: Array) -> tuple[Array, Array]:
+        directions = np.eye(parameters.size) if trained is None else trained
+        given = parameters, directions, *on_device
         with double_precision():
-            value, jacobian = _value_and_jacobian(function, parameters, *on_device, config=settings)
-            return np.asarray(value)[:count], np.asarray(jacobian)[:count]
+            found = _value_and_slopes(function, *given, config=settings)
+            value, slopes = (np.asarray(array)[:count] for array in found)
+        return value, slopes if trained is None else np.tensordot(slopes, trained, axes=1)
 
     return evaluate
 
