@@ -106,6 +106,7 @@ def design(
     from pcnde_bridge._utils.validation import listed
     from pcnde_bridge.data.selection import case_keys, pair_positions
     from pcnde_bridge.data.stenosis import summary
+    from pcnde_bridge.engines.types import ModelInputs
     from pcnde_bridge.evaluation import design as designs
     from pcnde_bridge.io.datasets import load_cases
     from pcnde_bridge.io.input_tables import read_candidates
@@ -123,6 +124,14 @@ def design(
             f"{inflow}, 1 to {labels['waveform'].max()}: label the simulations so."
         )
     positions = pair_positions(labels, pairs, str(done)).tolist() if pairs else []
+    if finished is not None:
+        inputs = ModelInputs(finished.inflow, finished.area_undeformed, finished.grid)
+        if wrong := designs.confused(candidates, positions, inputs):
+            case, other = wrong[0]
+            raise InputError(
+                f"Inflow and area of case (geometry, waveform) {pairs[case]} of {done} are rather "
+                f"those of {tuple(labels.to_numpy()[other].tolist())}: correct the labels."
+            )
     count = count or max(1, min(6, len(labels) - len(positions)))
     chosen = designs.choose(candidates, count, done=positions)
     designs.write_inputs(out, candidates, labels, chosen)

@@ -135,6 +135,36 @@ def choose(
     return pd.DataFrame(rows)
 
 
+def confused(
+    candidates: ModelInputs, done: Sequence[int], finished: ModelInputs
+) -> list[tuple[int, int]]:
+    """Find finished simulations that are not the candidates that they are said to be.
+
+    Parameters
+    ----------
+    candidates : ModelInputs
+        The candidates.
+    done : sequence of int
+        Position of the candidate of each finished simulation.
+    finished : ModelInputs
+        Inputs of the finished simulations, on any grid.
+
+    Returns
+    -------
+    list of pairs
+        Position of a finished simulation, and of a candidate whose quantities, each over its
+        range, are less than half as far away as those of the simulation's own candidate.
+    """
+    values, found = describe(*candidates), describe(*finished)
+    extent = np.fmax.reduce(values) - np.fmin.reduce(values)
+    differ = extent > 0
+    moved = np.nan_to_num((found[:, None] - values)[..., differ] / extent[differ])
+    distances = np.linalg.norm(moved, axis=-1)
+    own, nearest = distances[np.arange(len(done)), done], distances.argmin(axis=1)
+    wrong = np.flatnonzero(distances.min(axis=1) < own / 2)
+    return [(int(case), int(nearest[case])) for case in wrong]
+
+
 def _distances(points: Array, point: Array) -> Array:
     return np.linalg.norm(points - point, axis=1)
 

@@ -189,6 +189,12 @@ def test_command_with_finished_simulations(physics_cases, tmp_path, run_pcnde):
     assert code == 2
     assert "other.npz has the cases (geometry, waveform) (5, 1), " in err
     assert "1 to 4: label the simulations so" in err
+    swapped = Cases(**fields, labels={"geometry": geometry, "waveform": 5 - waveform})
+    swapped.select(slice(0, 12)).save(tmp_path / "other.npz")
+    code, _, err = run_pcnde("design", *given, "--out", tmp_path / "runs", *other_done)
+    assert code == 2
+    assert "case (geometry, waveform) (1, 4)" in err
+    assert "those of (1, 1): correct the labels" in err
     cases.select(slice(0, 12)).save(tmp_path / "done.npz")
     done = "--done", tmp_path / "done.npz"
     code, out, _ = run_pcnde("design", *given, "--out", tmp_path / "runs", "--count", 2, *done)
