@@ -177,8 +177,7 @@ class Closures(ABC):
         Returns
         -------
         callable
-            Maps the parameters ``correction`` to Q, mL/s, (case, time, point).  The derivatives
-            in its ceiling and scales, which no fit changes, may be zero instead.
+            Maps the parameters ``correction`` to Q, mL/s, (case, time, point).
         """
 
     def wall_shear_stress(

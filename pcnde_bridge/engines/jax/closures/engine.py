@@ -16,7 +16,7 @@ from pcnde_bridge._utils.jax_context import compiled, double_precision
 from pcnde_bridge.config.settings import ClosureConfig, CorrectionClosure, WallClosure
 from pcnde_bridge.data.grid import Grid
 from pcnde_bridge.engines.buffers import Buffers
-from pcnde_bridge.engines.closure_parameters import CORRECTION_SCALARS, ClosureParameters, sizes
+from pcnde_bridge.engines.closure_parameters import ClosureParameters
 from pcnde_bridge.engines.internal_points import internal_points
 from pcnde_bridge.engines.jax.closures import pressure_losses as losses
 from pcnde_bridge.engines.jax.closures import wall_shear_stress
@@ -65,9 +65,7 @@ class JaxClosures(Closures):
         at = [*points, -1]  # the outlet's flow is the unknown of the coupling
         vessels = modes.flow[which][..., at], modes.flow_slope[which][..., at]
         cases = *vessels, modes.reference_flow[which], inflow, _outlets(others, inputs, outlet)
-        size, given = sizes(config)["correction"], slice(1, CORRECTION_SCALARS)
-        trained = np.delete(np.eye(size), given, axis=0)
-        return _problem(_flow, cases, (others.wall, grid.period), config, trained)
+        return _problem(_flow, cases, (others.wall, grid.period), config)
 
     def _problem(
         self, name: str, data: tuple[Any, ...], grid: Grid, config: ClosureConfig
@@ -341,10 +339,9 @@ def solve_one(
 
 
 @compiled("function", "config")
-def _value_and_slopes(
+def _value_and_jacobian(
     function: Callable[..., jax.Array],
     parameters: jax.Array,
-    directions: jax.Array,
     cases: Any,
     fixed: Any,
     config: ClosureConfig,
@@ -355,7 +352,7 @@ def _value_and_slopes(
     def push(tangent: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(values, (parameters,), (tangent,))
 
-    return jax.vmap(push, out_axes=(None, -1))(directions)
+    return jax.vmap(push, out_axes=(None, -1))(jnp.eye(parameters.size))
 
 
 def _problem(
@@ -363,12 +360,8 @@ def _problem(
     cases: tuple[Any, ...],
     fixed: tuple[Any, ...],
     config: ClosureConfig,
-    trained: Array | None = None,
 ) -> Problem:
-    """Transfer the data once; compile once for each shape, of which there are few.
-
-    The Jacobian is zero but along the directions ``trained``, (direction, n), by default all.
-    """
+    """Transfer the data once; compile once for each shape, of which there are few."""
     count = len(jax.tree.leaves(cases)[0])
     padded = jax.tree.map(partial(_padded, size=_rounded(count)), cases)
     with double_precision():
@@ -376,12 +369,9 @@ def _problem(
     settings = _relevant(config)
 
     def evaluate(parameters: Array) -> tuple[Array, Array]:
-        directions = np.eye(parameters.size) if trained is None else trained
-        given = parameters, directions, *on_device
         with double_precision():
-            found = _value_and_slopes(function, *given, config=settings)
-            value, slopes = (np.asarray(array)[:count] for array in found)
-        return value, slopes if trained is None else np.tensordot(slopes, trained, axes=1)
+            value, jacobian = _value_and_jacobian(function, parameters, *on_device, config=settings)
+            return np.asarray(value)[:count], np.asarray(jacobian)[:count]
 
     return evaluate
 
