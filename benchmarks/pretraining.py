@@ -4,10 +4,10 @@
     python benchmarks/pretraining.py --preset fast --out pretraining_fast.csv
 
 The pools are those of ``few_cases.py --left-out``; each has one designed subset of each size, and
-two random ones.  Variants of ``physics`` draw the losses to their start values, or to those of a
-fit to 1D simulations: a residual of ``strength`` times the relative change of each parameter is
-added to the relative error of the pressure.  Variants of ``fast`` start from a fit to 1D
-simulations, or are trained on the cases and as many 1D simulations together.
+four random ones.  Variants of ``physics`` draw the losses to their start values, to those of theory
+(Poiseuille, Bernoulli, a momentum balance and a laminar jet), or to those of a fit to 1D
+simulations; 1D simulations are further pools, whose other cases are left out.  Variants of ``fast``
+start from a fit to 1D simulations, or are trained on the cases and as many 1D simulations together.
 """
 
 from __future__ import annotations
@@ -28,20 +28,30 @@ from pcnde_bridge.evaluation.design import choose
 from pcnde_bridge.hemodynamics import synthetic
 from pcnde_bridge.training import closure_fit, staged_training
 
-SIZES, DRAWS, STRENGTHS = (3, 4, 6), 2, (0.01, 0.1)
+SIZES, PRIOR, HYPEREMIA = (3, 4, 6), 32.0, 4.0
+DRAWS = {"physics": 4, "fast": 2}
+THEORY = np.array([1, 1, 1, 1, 4 / 3, 1, 1, 0.01, 3, 1])
 FIELDS = "flow", "area", "pressure", "area_undeformed"
 
 
-def drawn_to(center, strength):
-    """Return a context in which the losses are drawn to a vector."""
-    fit_losses = closure_fit.fit_losses
+def drawn_to(center, prior):
+    """Return a context in which few cases draw the losses to a vector.
 
-    def draw(parameters):
-        return strength * (parameters / center - 1), strength * np.diag(1 / center)
+    The sum of squares of N cases is multiplied by 1 + (prior/N²)²·|ln(losses/center)|².
+    """
+    fit_losses = closure_fit.fit_losses
 
     def fit(held, *given, **options):
         def problem(weight):
-            return held.problem(weight, None, draw)
+            strength, plain = prior / np.count_nonzero(weight) ** 2, held.problem(weight)
+
+            def drawn(x):
+                error, jacobian = plain(x)
+                size, change = np.linalg.norm(error), strength * np.log(x / center)
+                slope = size * strength * np.diag(1 / x) + np.outer(change, error @ jacobian / size)
+                return np.append(error, size * change), np.concatenate([jacobian, slope])
+
+            return drawn
 
         return fit_losses(SimpleNamespace(square=held.square, problem=problem), *given, **options)
 
@@ -67,11 +77,11 @@ def variants(preset, simulated):
     config = PHYSICS.replace(correction={"folds": 0})
     centers = {
         "start": np.array([start for start, *_ in closure_fit._LOSSES.values()]),
+        "theory": THEORY,
         "1D": PCNDE.fit(simulated, config, "jax", progress=False).parameters.losses,
     }
-    found = {"none": unchanged}
-    for (name, center), strength in product(centers.items(), STRENGTHS):
-        found[f"{name}, {strength:g}"] = drawn_to(center, strength), unchanged[1]
+    found = {name: (drawn_to(center, PRIOR), unchanged[1]) for name, center in centers.items()}
+    found["none"] = unchanged
     return config, found
 
 
@@ -81,28 +91,34 @@ def main():
     parser.add_argument("--preset", default="physics", choices=["physics", "fast"])
     parser.add_argument("--out", default="pretraining.csv")
     options = parser.parse_args()
-    config, ways = variants(options.preset, synthetic(progress=False))
+    simulated = synthetic(progress=False)
+    config, ways = variants(options.preset, simulated)
+    groups = {"3D": pools(True)}
+    if options.preset == "physics":
+        hyperemia = synthetic(hyperemia=HYPEREMIA, progress=False)
+        groups |= {"1D": {"at rest": (simulated, None)}, "1D, 4 Q": {"flow": (hyperemia, None)}}
     rows = {}
-    for (pool, (train, left_out)), size in product(pools(True).items(), SIZES):
+    every = [(group, *pool) for group, members in groups.items() for pool in members.items()]
+    for (group, pool, (train, left_out)), size in product(every, SIZES):
         order = choose(ModelInputs(train.inflow, train.area_undeformed, train.grid), size)
-        rng = np.random.default_rng(size)
-        random = {f"random {n}": rng.permutation(len(train))[:size] for n in range(DRAWS)}
+        rng, draws = np.random.default_rng(size), DRAWS[options.preset]
+        random = {f"random {n}": rng.permutation(len(train))[:size] for n in range(draws)}
         subsets = {"designed": order["case"].to_numpy(), **random}
         for (subset, positions), (way, (context, change)) in product(subsets.items(), ways.items()):
             cases = change(train.select(np.sort(positions)))
             with context:
                 model = PCNDE.fit(cases, config, "jax", progress=False)
-            rows[way, size, pool, subset] = model.evaluate(left_out).iloc[-1]
-        names = ["variant", "cases", "pool", "subset"]
+            others = np.setdiff1d(np.arange(len(train)), positions)
+            test = train.select(others) if left_out is None else left_out
+            kind = f"{group}, {subset.split()[0]}"
+            rows[kind, way, size, pool, subset] = model.evaluate(test).iloc[-1]
+        names = ["kind", "variant", "cases", "pool", "subset"]
         table = pd.DataFrame(rows).T.rename_axis(names)
         table.to_csv(options.out)  # nothing is lost on Ctrl-C
         print(pool, size, flush=True)
     errors = table[["flow", "area", "pressure", "pressure_drop"]]
-    by = [errors.index.get_level_values(name) for name in ("cases", "variant")]
-    for kind in ("designed", "random"):
-        of_kind = table.index.get_level_values("subset").str.startswith(kind)
-        summary = errors[of_kind].groupby([level[of_kind] for level in by], sort=False)
-        print(kind, summary.agg(["median", "max"]).round(4).to_string(), sep="\n")
+    summary = errors.groupby(["kind", "cases", "variant"], sort=False).agg(["median", "max"])
+    print(summary.round(4).to_string())
 
 
 if __name__ == "__main__":
