@@ -129,7 +129,7 @@ def design(
         if wrong := designs.confused(candidates, positions, inputs):
             case, other = wrong[0]
             raise InputError(
-                f"Inflow and area of case (geometry, waveform) {pairs[case]} of {done} are rather "
+                f"Inflow and area of case (geometry, waveform) {pairs[case]} of {done} are "
                 f"those of {tuple(labels.to_numpy()[other].tolist())}: correct the labels."
             )
     count = count or max(1, min(6, len(labels) - len(positions)))

@@ -29,6 +29,9 @@ from pcnde_bridge.model.prediction import Prediction
 from pcnde_bridge.model.predictor import Predictor
 from pcnde_bridge.uncertainty.novelty import QUANTITIES, Novelty, describe
 
+_TOLERANCE = 0.1
+"""Relative difference between the inputs of a simulation and of its candidate."""
+
 
 def all_pairs(
     inflow: Array,
@@ -138,7 +141,10 @@ def choose(
 def confused(
     candidates: ModelInputs, done: Sequence[int], finished: ModelInputs
 ) -> list[tuple[int, int]]:
-    """Find finished simulations that are not the candidates that they are said to be.
+    """Find finished simulations whose inputs are those of another candidate.
+
+    Differences are relative to each quantity: results on another grid, or with a few percent
+    less flow at the inlet, still belong to their candidate.
 
     Parameters
     ----------
@@ -152,17 +158,22 @@ def confused(
     Returns
     -------
     list of pairs
-        Position of a finished simulation, and of a candidate whose quantities, each over its
-        range, are less than half as far away as those of the simulation's own candidate.
+        Position of a finished simulation that differs from its candidate by more than a tenth,
+        and of another candidate, from which it differs less than half as much.
     """
     values, found = describe(*candidates), describe(*finished)
-    extent = np.fmax.reduce(values) - np.fmin.reduce(values)
-    differ = extent > 0
-    moved = np.nan_to_num((found[:, None] - values)[..., differ] / extent[differ])
-    distances = np.linalg.norm(moved, axis=-1)
-    own, nearest = distances[np.arange(len(done)), done], distances.argmin(axis=1)
-    wrong = np.flatnonzero(distances.min(axis=1) < own / 2)
-    return [(int(case), int(nearest[case])) for case in wrong]
+    size = np.abs(values)
+    size[:, 4:6] = 1.0  # logarithms of ratios
+    # The amplitude of a nearly steady flow, and a mean near zero, are compared with the other.
+    size[:, :2] = np.maximum(size[:, :2], _TOLERANCE * size[:, 1::-1])
+    wrong = []
+    for case, own in enumerate(done):
+        # What a case does not have, such as the frequency of a steady flow, does not differ.
+        distances = np.linalg.norm(np.nan_to_num((values - found[case]) / size[own]), axis=1)
+        nearest = int(distances.argmin())
+        if distances[own] > max(_TOLERANCE, 2 * distances[nearest]):
+            wrong.append((case, nearest))
+    return wrong
 
 
 def _distances(points: Array, point: Array) -> Array:

@@ -82,6 +82,37 @@ def test_finished_simulations_are_not_chosen_again(candidates):
     assert everything["uncovered"].iloc[-1] == 0
 
 
+@pytest.mark.parametrize("share, points", [(1.0, 1001), (0.95, 41)])
+def test_swapped_labels_are_found_on_any_grid(candidates, share, points):
+    """The same vessels and inflows, with less flow than prescribed, are not another candidate."""
+    inputs, labels = candidates
+    grid = Grid(np.arange(60) / 60, np.linspace(0, 4, points), 1.0)
+    inflow = np.stack([share * coronary().scaled(factor).samples(60) for factor in FACTORS])
+    area = np.stack([Vessel((Stenosis(b),)).area_undeformed(grid.z) for b in BLOCKAGES])
+    finished, _ = design.all_pairs(inflow, area, grid)
+    assert design.confused(inputs, range(25), finished) == []
+    for name in "geometry", "waveform":
+        swapped = labels.assign(**{name: 6 - labels[name]})  # the third is in its place
+        own = (5 * (swapped["geometry"] - 1) + swapped["waveform"] - 1).tolist()
+        expected = [(case, case) for case in range(25) if own[case] != case]
+        assert design.confused(inputs, own, finished) == expected
+
+
+def test_quantities_without_meaning_are_not_compared(arrays):
+    """Steady flows have no frequency, straight vessels no stenosis, and no mean is exactly 0."""
+    inflow, _, grid = arrays
+    steady = np.full((1, 50), 1.0)
+    around_zero = inflow - inflow.mean(axis=1, keepdims=True)
+    area = np.stack([Vessel(diameter=d).area_undeformed(grid.z) for d in (0.3, 0.4)])
+    for waves in (steady, around_zero):
+        inputs, labels = design.all_pairs(waves, area, grid, "cgs")
+        noise = 1e-4 * np.random.default_rng(0).standard_normal(inputs.inflow.shape)
+        finished = inputs._replace(inflow=inputs.inflow + noise)
+        cases = range(len(labels))
+        assert design.confused(inputs, cases, finished) == []
+        assert len(design.confused(inputs, cases[::-1], finished)) == len(labels)
+
+
 def test_equal_candidates_can_be_chosen(candidates):
     inputs, _ = candidates
     equal = inputs._replace(
