@@ -36,11 +36,13 @@ def relative_error(predicted: Array, reference: Array) -> float:
         If the shapes differ or the reference is zero.
     """
     check_shape("The prediction", predicted, reference.shape)
-    # A sum, because BLAS, which computes a norm, starts threads for every case.
-    error, size = (np.sqrt(np.square(v).sum()) for v in (predicted - reference, reference))
+    # Sums, because BLAS, which computes a norm, starts threads for every case.
+    size = np.square(reference, dtype=float).sum()
     if size == 0:
         raise InputError("The relative error is undefined: the reference is zero everywhere.")
-    return float(error / size)
+    error = np.subtract(predicted, reference, dtype=float)
+    error *= error  # a second array may be large
+    return float(np.sqrt(error.sum() / size))
 
 
 def reference_of(variable: str, values: Array, cases: Cases) -> Array:

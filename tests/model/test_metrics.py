@@ -34,6 +34,7 @@ def predicted(small_cases):
 def test_relative_error_of_known_numbers():
     assert relative_error(np.array([3.0, 0.0]), np.array([0.0, 4.0])) == 5 / 4
     assert relative_error(np.ones((2, 3)), np.ones((2, 3))) == 0.0
+    assert relative_error(np.array([75, 0], np.int8), np.array([0, 100], np.int8)) == 1.25
     assert relative_error(np.zeros((2, 2, 2)), np.ones((2, 2, 2))) == 1.0
 
 
