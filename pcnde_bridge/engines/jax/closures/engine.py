@@ -179,7 +179,7 @@ def _distinct_vessels(
         with double_precision():
             s_u = _padded(batch, _rounded(len(batch)))
             modes, terms = _vessels(*vectors, s_u, points.z, config=config)
-            # The terms are used at the internal points alone.
+            # Only models without internal points use the terms.
             return jax.tree.map(at_given, modes), jax.tree.map(np.asarray, terms)
 
     return jax.tree.map(lambda *a: np.concatenate(a), *_in_batches(integrate, len(areas)))
