@@ -64,14 +64,13 @@ def fit(
         raise InputError("--outlet takes one outlet for all cases.")
     if members > 1 and checkpoint is not None:
         raise InputError("An ensemble stores its fits in OUT.fits: leave --checkpoint out.")
-    if members == 1 and workers > 1:
-        raise InputError("--workers needs --members: a single fit runs in one process.")
     sets = split_of(load_cases(data), data, split)
     run = sets["train"], settings, engine, seed
     model: PCNDE | Ensemble
     if members == 1:
         with _training_state(checkpoint, out.with_name(out.name + ".checkpoint")) as state:
-            model = PCNDE.fit(*run, state, outlet=given)
+            parallel = processes(workers) if workers > 1 else None
+            model = PCNDE.fit(*run, state, outlet=given, executor=parallel)
             model.save(out)
     else:
         folder = out.with_name(out.name + ".fits")  # until the ensemble is written

@@ -169,7 +169,10 @@ class PCNDE(Predictor):
             kind.check_outlet(outlet)
             procedure.outlet = outlet
         if executor is not None and not (kind.any_grid and engine.name == "jax"):
-            raise InputError("executor= needs the preset 'physics' and the engine 'jax'.")
+            raise InputError(
+                "Several processes (executor=, --workers) fit one model only with the preset "
+                "'physics' and the engine 'jax'. Leave them out, or choose these two."
+            )
         with started_workers(executor) as procedure.workers:
             state = Trainer(procedure, checkpoint).fit(seed, progress)
         used = procedure.cases  # of many cases, some are not used by the preset fast

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import PHYSICS_CONFIG
 
 from pcnde_bridge import (
     PCNDE,
@@ -278,6 +279,21 @@ def test_fit_refuses_settings_that_do_not_fit_and_a_checkpoint_it_cannot_write(
     assert code == 2
     assert "not a pcnde_bridge checkpoint" in err
     assert not out.exists()
+
+
+def test_fit_in_processes(tmp_path, run, physics_cases, physics_model, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    physics_cases.save("cases.h5")
+    config = "--preset", "physics", "--config", _json(tmp_path, PHYSICS_CONFIG.to_dict())
+    fit = "fit", "cases.h5", "--engine", "jax", "--split", "none", "--workers", 2, "--out", "m.npz"
+    code, _, err = run(*fit, *config)
+    assert code == 0, err
+    for name, vector in PCNDE.load("m.npz", "jax").parameters:
+        expected = getattr(physics_model.parameters, name)
+        np.testing.assert_allclose(vector, expected, rtol=1e-10, atol=1e-12, err_msg=name)
+    code, _, err = run(*fit, "--preset", "fast")
+    assert code == 2
+    assert "(executor=, --workers) fit one model only with the preset 'physics'" in err
 
 
 def _json(folder, value):

@@ -313,5 +313,5 @@ def test_workers_give_the_same(physics_cases, physics_model, monkeypatch):
     for name, vector in fitted.parameters:
         expected = getattr(physics_model.parameters, name)
         np.testing.assert_allclose(vector, expected, rtol=1e-10, atol=1e-12, err_msg=name)
-    with pytest.raises(InputError, match="needs the preset 'physics' and the engine 'jax'"):
+    with pytest.raises(InputError, match="only with the preset 'physics' and the engine 'jax'"):
         PCNDE.fit(physics_cases, "fast", "jax", executor=2)
