@@ -6,8 +6,9 @@
 The pools are those of ``few_cases.py --left-out``; each has one designed subset of each size, and
 four random ones.  Variants of ``physics`` draw the losses to their start values, to those of theory
 (Poiseuille, Bernoulli, a momentum balance and a laminar jet), or to those of a fit to 1D
-simulations; 1D simulations are further pools, whose other cases are left out.  Variants of ``fast``
-start from a fit to 1D simulations, or are trained on the cases and as many 1D simulations together.
+simulations.  There, 1D simulations are further pools, and the cases outside a subset are left out.
+Variants of ``fast`` start from a fit to 1D simulations, or are trained on the cases and as many 1D
+simulations together.
 """
 
 from __future__ import annotations
